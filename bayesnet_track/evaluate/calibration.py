@@ -118,9 +118,9 @@ def fit_logistic(
         wrong = {name: signs[name] * solved[1 + k] for k, name in enumerate(remaining)}
         if not wrong or min(wrong.values()) >= 0:
             slopes = solved[1:] / sds
-            found = {name: float(slope) for name, slope in zip(remaining, slopes, strict=True)}
+            coefficients = {name: float(slope) for name, slope in zip(remaining, slopes, strict=True)}
             bias = float(solved[0] - slopes @ means)
-            return {"bias": bias, **{name: found.get(name, 0.0) for name in features}}
+            return {"bias": bias, **{name: coefficients.get(name, 0.0) for name in features}}
         remaining.remove(min(wrong, key=lambda name: wrong[name]))
 
 

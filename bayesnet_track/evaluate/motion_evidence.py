@@ -139,7 +139,7 @@ def _carried(boxes: Floats, measured: NDArray[np.bool_]) -> Floats:
 
 
 def _filter(
-    points: Floats, seen: NDArray[np.bool_], regimes: _Regimes, errors: Floats, start_sds: Floats
+    points: Floats, observed: NDArray[np.bool_], regimes: _Regimes, errors: Floats, start_sds: Floats
 ) -> Floats:
     batch, count, size, _ = regimes.moves.shape
     width = points.shape[1]
@@ -158,7 +158,7 @@ def _filter(
         spreads = moves @ covariance[:, :, None] @ turned + driven
         spreads[..., measured, measured] += regimes.added[:, None, :, t - 1]
         log = _log(regimes.chains * weights[:, :, None])
-        if seen[t]:
+        if observed[t]:
             means, spreads, log_densities = _update(means, spreads, points[t], errors)
             log = log + log_densities
         top = log.max(axis=(1, 2))
@@ -188,18 +188,20 @@ def _update(means: Floats, spreads: Floats, point: Floats, errors: Floats) -> tu
 def _merge(means: Floats, spreads: Floats, log: Floats) -> tuple[Floats, Floats, Floats]:
     """Weight and Gaussian of each regime now: those of all regimes before, moments matched."""
     top = log.max(axis=1, keepdims=True)
-    own = np.exp(log - np.where(np.isfinite(top), top, 0.0))
-    summed = own.sum(axis=1)
+    shares = np.exp(log - np.where(np.isfinite(top), top, 0.0))
+    summed = shares.sum(axis=1)
     weights = summed * np.exp(top[:, 0])
     weights = weights / weights.sum(axis=1, keepdims=True)
     if log.shape[1] == 1:
         return weights, means[:, 0], spreads[:, 0]
-    own = np.where(summed[:, None] > 0, own / np.where(summed > 0, summed, 1.0)[:, None], 1.0 / log.shape[1])
-    mean = (own[..., None] * means).sum(axis=1)
-    deviations = means - mean[:, None]
-    covariance = (own[..., None, None] * (spreads + deviations[..., :, None] * deviations[..., None, :])).sum(
-        axis=1
+    shares = np.where(
+        summed[:, None] > 0, shares / np.where(summed > 0, summed, 1.0)[:, None], 1.0 / log.shape[1]
     )
+    mean = (shares[..., None] * means).sum(axis=1)
+    deviations = means - mean[:, None]
+    covariance = (
+        shares[..., None, None] * (spreads + deviations[..., :, None] * deviations[..., None, :])
+    ).sum(axis=1)
     return weights, mean, covariance
 
 

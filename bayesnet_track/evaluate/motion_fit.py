@@ -37,13 +37,13 @@ def check_motion(root: spec.InferenceNode) -> None:
     """
     motions = [("motion", root.motion)]
     motions += [(f"modes.{name}.motion", mode.motion) for name, mode in (root.modes or {}).items()]
-    allowed = "random_walk, constant_velocity, damped_velocity, constant_acceleration"
+    fittable = "random_walk, constant_velocity, damped_velocity, constant_acceleration"
     for place, motion in motions:
         if motion is None:
             continue
         settings = motion.settings
         if not isinstance(settings, spec.RandomWalk | spec.ConstantVelocity | spec.ConstantAcceleration):
-            raise MotionFitError(f"{place}: {motion.kind} cannot be fitted; allowed: {allowed}")
+            raise MotionFitError(f"{place}: {motion.kind} cannot be fitted; allowed: {fittable}")
         without = to_caller("fit without it, with --set", "fit a graph without it")
         for key, why in (
             ("camera", "boxes do not tell how the camera moves"),
@@ -100,8 +100,8 @@ def with_value(model: Any, path: Path, value: float) -> Any:
     return type(model).model_construct(**fields | {name: replaced})
 
 
-def _shape(chosen: spec.Motion) -> tuple[int, tuple[bool, ...], bool]:
-    motion = make_motion(chosen)
+def _shape(choice: spec.Motion) -> tuple[int, tuple[bool, ...], bool]:
+    motion = make_motion(choice)
     return motion.order, tuple(noisy(motion.noise)), is_log(motion.noise)
 
 
@@ -177,12 +177,12 @@ def _group(path: Path) -> tuple[str, str]:
 def _tried(group: tuple[str, str], begin: Mapping[Path, float]) -> list[dict[Path, float]]:
     """Values of a group's parameters at the starts, as they are given first."""
     kind = group[0]
-    own = {path: value for path, value in begin.items() if _group(path) == group}
+    values = {path: value for path, value in begin.items() if _group(path) == group}
     if kind in VALUES:
-        return [own, *(dict.fromkeys(own, value) for value in VALUES[kind])]
+        return [values, *(dict.fromkeys(values, value) for value in VALUES[kind])]
     lower_limit = 1.0 if kind == "mean_frames" else 0.0
     return [
-        {path: max(factor * value, lower_limit) for path, value in own.items()} for factor in FACTORS[kind]
+        {path: max(factor * value, lower_limit) for path, value in values.items()} for factor in FACTORS[kind]
     ]
 
 

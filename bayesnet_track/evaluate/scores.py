@@ -315,8 +315,8 @@ def _coverage(
     if region is None or not counted[1:].any():  # the start is given, not estimated
         return None
     bounds, centre = region[1:][counted[1:]], centre[1:][counted[1:]]
-    within = [(bounds[:, 2 * k] <= centre[:, k]) & (centre[:, k] <= bounds[:, 2 * k + 1]) for k in (0, 1)]
-    return float(within[0].mean()), float(within[1].mean())
+    is_within = [(bounds[:, 2 * k] <= centre[:, k]) & (centre[:, k] <= bounds[:, 2 * k + 1]) for k in (0, 1)]
+    return float(is_within[0].mean()), float(is_within[1].mean())
 
 
 @dataclass(frozen=True, eq=False)

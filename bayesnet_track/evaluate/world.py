@@ -85,8 +85,10 @@ class WorldScore:
         kinds = meanings(WorldScore)
         width = max(map(len, kinds))
         values = ((name, getattr(self, name)) for name in kinds)
-        shown = ((n, "-" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v)) for n, v in values)
-        return "\n".join(f"{name:{width}}  {value:>9}  {kinds[name]}" for name, value in shown)
+        formatted = (
+            (n, "-" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v)) for n, v in values
+        )
+        return "\n".join(f"{name:{width}}  {value:>9}  {kinds[name]}" for name, value in formatted)
 
     def json(self) -> str:
         """The figures as JSON."""
@@ -131,7 +133,7 @@ def read_world_tracks(path: Path) -> Places:
 
 def _read(path: Path, names: Sequence[str], uncertain: Sequence[str], left_out: frozenset[str]) -> Places:
     times, ids, rows = [], [], []
-    seen: dict[tuple[float, str], int] = {}
+    first_lines: dict[tuple[float, str], int] = {}
     with path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.DictReader(file)
         columns = [str(name).strip() for name in reader.fieldnames or ()]
@@ -145,20 +147,22 @@ def _read(path: Path, names: Sequence[str], uncertain: Sequence[str], left_out: 
             notice(f"{path}: not used: the columns {few(extra)}")
         has_sd = bool(uncertain) and set(uncertain) <= set(columns)
         for row in reader:
-            where = f"{path}:{reader.line_num}"
+            location = f"{path}:{reader.line_num}"
             if row.get("status") in left_out or (uncertain and not row[names[2]]):
                 continue
             try:
                 time, x, y = (float(row[name]) for name in (names[0], *names[2:]))
                 sd_x, sd_y, corr = (float(row[n]) for n in uncertain) if has_sd else (math.nan,) * 3
             except (TypeError, ValueError):
-                raise ValueError(f"{where}: {', '.join(names)} must be numbers, id a name") from None
+                raise ValueError(f"{location}: {', '.join(names)} must be numbers, id a name") from None
             if not all(map(math.isfinite, (time, x, y))):
-                raise ValueError(f"{where}: a number is not finite")
+                raise ValueError(f"{location}: a number is not finite")
             key = time, str(row[names[1]]).strip()
-            if key in seen:
-                raise ValueError(f"{where}: {key[1]!r} is at t = {time:g} already, in line {seen[key]}")
-            seen[key] = reader.line_num
+            if key in first_lines:
+                raise ValueError(
+                    f"{location}: {key[1]!r} is at t = {time:g} already, in line {first_lines[key]}"
+                )
+            first_lines[key] = reader.line_num
             times.append(time)
             ids.append(key[1])
             rows.append((x, y, sd_x**2, sd_y**2, corr * sd_x * sd_y))
@@ -177,8 +181,8 @@ def end_of_run(folder: Path, tracks: Path) -> float:
         times = {int(row["frame"]): float(row["time_s"]) for row in csv.DictReader(file)}
     if not frames or not times or max(times) == 0:
         return math.inf
-    last = max(times)
-    return times[last] + (max(frames) - last + 0.5) * times[last] / last
+    final = max(times)
+    return times[final] + (max(frames) - final + 0.5) * times[final] / final
 
 
 def score_world(
@@ -212,15 +216,15 @@ def score_world(
             f"{tracks.times.min():g} to {tracks.times.max():g} s"
         )
     tracked_at = _once(tracked_at, instants, tracks)
-    at = {cut: _pairs(truth, tracks, true_at, tracked_at, cut) for cut in (MATCH_M, PRECISE_M)}
-    clear, precise = clear_mot(at[MATCH_M]), clear_mot(at[PRECISE_M])
+    pairs = {cut: _pairs(truth, tracks, true_at, tracked_at, cut) for cut in (MATCH_M, PRECISE_M)}
+    clear, precise = clear_mot(pairs[MATCH_M]), clear_mot(pairs[PRECISE_M])
     errors = _errors(truth, tracks, true_at, tracked_at)
     total = precise.tp + precise.fn
     return WorldScore(
         instants=len(instants),
-        true_ids=len(at[MATCH_M].true_boxes),
+        true_ids=len(pairs[MATCH_M].true_boxes),
         true_places=int((true_at >= 0).sum()),
-        track_ids=len(at[MATCH_M].tracked_boxes),
+        track_ids=len(pairs[MATCH_M].tracked_boxes),
         track_places=int((tracked_at >= 0).sum()),
         moda=1 - (precise.fn + precise.fp) / total,
         modp=2 * precise.motp - 1 if precise.tp else 0.0,
@@ -228,9 +232,9 @@ def score_world(
         fp=clear.fp,
         fn=clear.fn,
         idsw=clear.idsw,
-        idf1=identity(at[MATCH_M]).idf1,
+        idf1=identity(pairs[MATCH_M]).idf1,
         cutoff_m=cutoff_m,
-        gospa_m=gospa(at[MATCH_M], cutoff_m, ORDER).total_px,
+        gospa_m=gospa(pairs[MATCH_M], cutoff_m, ORDER).total_px,
         **_uncertainty(errors),
     )
 
@@ -239,27 +243,27 @@ def _nearest(instants: Floats, times: Floats, tolerance: float) -> Ints:
     """Place of the nearest instant of each time, -1 beyond the tolerance."""
     if not len(times):
         return np.empty(0, dtype=np.int64)
-    after = np.clip(np.searchsorted(instants, times), 1, max(len(instants) - 1, 1))
-    before = after - 1
-    after = np.minimum(after, len(instants) - 1)
-    nearest = np.where(times - instants[before] <= instants[after] - times, before, after)
+    upper = np.clip(np.searchsorted(instants, times), 1, max(len(instants) - 1, 1))
+    lower = upper - 1
+    upper = np.minimum(upper, len(instants) - 1)
+    nearest = np.where(times - instants[lower] <= instants[upper] - times, lower, upper)
     return np.where(np.abs(instants[nearest] - times) <= tolerance * (1 + 1e-9), nearest, -1)
 
 
-def _once(at: Ints, instants: Floats, tracks: Places) -> Ints:
+def _once(indices: Ints, instants: Floats, tracks: Places) -> Ints:
     """Of a track with several places near one instant, the nearest alone."""
-    best: dict[tuple[int, str], int] = {}
-    for row in np.flatnonzero(at >= 0).tolist():
-        key = int(at[row]), tracks.ids[row]
-        other = best.get(key)
-        if other is None or abs(tracks.times[row] - instants[at[row]]) < abs(
-            tracks.times[other] - instants[at[row]]
+    best_rows: dict[tuple[int, str], int] = {}
+    for row in np.flatnonzero(indices >= 0).tolist():
+        key = int(indices[row]), tracks.ids[row]
+        rival = best_rows.get(key)
+        if rival is None or abs(tracks.times[row] - instants[indices[row]]) < abs(
+            tracks.times[rival] - instants[indices[row]]
         ):
-            best[key] = row
-    kept = np.full_like(at, -1)
-    rows = list(best.values())
-    kept[rows] = at[rows]
-    return kept
+            best_rows[key] = row
+    filtered = np.full_like(indices, -1)
+    rows = list(best_rows.values())
+    filtered[rows] = indices[rows]
+    return filtered
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +291,7 @@ class _PlaceBlock:
 
 def _pairs(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints, cut_m: float) -> Pairs:
     """All pairs; their similarity is 1 - distance / (2 cut), so that it is 0.5 at the cut-off."""
-    rows = [np.flatnonzero(at >= 0) for at in (true_at, tracked_at)]
+    rows = [np.flatnonzero(indices >= 0) for indices in (true_at, tracked_at)]
     numbers = [
         np.unique(
             np.array([places.ids[k] for k in row.tolist()], dtype=str),
@@ -299,9 +303,9 @@ def _pairs(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints, cut_m
     blocks, length = [], 0
     ids = [number[1].astype(np.int64) for number in numbers]
     for instant in np.unique(np.concatenate([true_at[rows[0]], tracked_at[rows[1]]])).tolist():
-        i, j = (at[row] == instant for at, row in zip((true_at, tracked_at), rows, strict=True))
-        apart = truth.points[rows[0][i]][:, None] - tracks.points[rows[1][j]][None]
-        distance = np.hypot(apart[..., 0], apart[..., 1])
+        i, j = (indices[row] == instant for indices, row in zip((true_at, tracked_at), rows, strict=True))
+        differences = truth.points[rows[0][i]][:, None] - tracks.points[rows[1][j]][None]
+        distance = np.hypot(differences[..., 0], differences[..., 1])
         similarity = np.maximum(1 - distance / (2 * cut_m), 0.0)
         true_frames, tracked_frames = (np.full(size, instant) for size in distance.shape)
         blocks.append(_PlaceBlock(ids[0][i], ids[1][j], true_frames, tracked_frames, similarity, distance))
@@ -323,11 +327,11 @@ def _errors(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints) -> _
     offsets, covariances, targets = [], [], []
     for instant in np.unique(true_at[true_at >= 0]).tolist():
         i, j = np.flatnonzero(true_at == instant), np.flatnonzero(tracked_at == instant)
-        apart = tracks.points[j][None] - truth.points[i][:, None]
-        distance = np.hypot(apart[..., 0], apart[..., 1])
+        differences = tracks.points[j][None] - truth.points[i][:, None]
+        distance = np.hypot(differences[..., 0], differences[..., 1])
         for row, column in zip(*assign(np.maximum(_BEYOND_M - distance, 0.0)), strict=True):
             if distance[row, column] <= MATCH_M:
-                offsets.append(apart[row, column])
+                offsets.append(differences[row, column])
                 covariances.append(tracks.covariances[j[column]])
                 targets.append(truth.ids[int(i[row])])
     return _Errors(np.array(offsets).reshape(-1, 2), np.array(covariances).reshape(-1, 2, 2), targets)
@@ -342,12 +346,12 @@ def _uncertainty(errors: _Errors) -> dict[str, float | None]:
         return dict.fromkeys(("error_m", *names))
     error = float(np.hypot(errors.offsets[:, 0], errors.offsets[:, 1]).mean())
     claimed = errors.covariances
-    known = claimed[:, 0, 0] * claimed[:, 1, 1] > claimed[:, 0, 1] ** 2  # not where nothing is claimed
-    if not known.any():
+    has_claim = claimed[:, 0, 0] * claimed[:, 1, 1] > claimed[:, 0, 1] ** 2  # not where nothing is claimed
+    if not has_claim.any():
         return {"error_m": error, **dict.fromkeys(names)}
-    offsets, covariances = errors.offsets[known], errors.covariances[known]
+    offsets, covariances = errors.offsets[has_claim], errors.covariances[has_claim]
     squares = np.einsum("ni,ni->n", offsets, np.linalg.solve(covariances, offsets[..., None])[..., 0])
-    count = _independent(squares, np.array(errors.targets)[known])
+    count = _independent(squares, np.array(errors.targets)[has_claim])
     sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     z = offsets / sd
     crps = sd * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / math.sqrt(math.pi))

@@ -120,35 +120,35 @@ class Entries:
     @classmethod
     def all_of(cls, path: Path, tree: dict[str, Any], text: str) -> Iterator[tuple[str, Entries]]:
         """Cameras of a file: one in its own entries, or those in nested ones, which share the outer ones."""
-        found: dict[str, dict[str, Any]] = {}
+        cameras: dict[str, dict[str, Any]] = {}
         if any(_meaning(key) in _GIVES_CAMERA and _by_name(value) is None for key, value in tree.items()):
-            found[""] = tree
+            cameras[""] = tree
         shared = {
             k: v for k, v in tree.items() if _meaning(k) in ("unit", "size", "width", "height", "model")
         }
-        if not found:
+        if not cameras:
             for key, value in tree.items():
                 stack = _by_name(value) if _meaning(key) in _GIVES_CAMERA else None
                 if stack:  # projection_3x4: {1: …, 2: …}
                     for name, part in stack.items():
-                        found.setdefault(str(name), dict(shared))[key] = part
+                        cameras.setdefault(str(name), dict(shared))[key] = part
             inner = chain.from_iterable(
                 (value if isinstance(value, Mapping) else dict(enumerate(value))).items()
                 for key, value in [("", tree), *tree.items()]
-                if isinstance(value, Mapping | list) and (key == "" or not found)
+                if isinstance(value, Mapping | list) and (key == "" or not cameras)
             )
             for key, value in inner:
                 if isinstance(value, Mapping) and any(_meaning(str(k)) in _GIVES_CAMERA for k in value):
                     name = str(value.get("name", key))
-                    if name in found and not set(found[name]) <= set(shared):
+                    if name in cameras and not set(cameras[name]) <= set(shared):
                         raise CalibrationError.of(str(path), f"two cameras are named {name!r}")
-                    found[name] = {**shared, **value}
-        if not found and any(_meaning(key) == "pair" for key in tree):
+                    cameras[name] = {**shared, **value}
+        if not cameras and any(_meaning(key) == "pair" for key in tree):
             raise CalibrationError.of(str(path), "calibration of a stereo pair, which has no ground", ENTRIES)
-        if not found:
+        if not cameras:
             keys = ", ".join(map(str, list(tree)[:12]))
             raise CalibrationError.of(str(path), f"no camera among the entries {keys}", ENTRIES)
-        for name, entries in found.items():
+        for name, entries in cameras.items():
             yield name, cls._of(path, text, name, entries)
 
     @classmethod
@@ -161,9 +161,11 @@ class Entries:
                 if not _COMMENTS.fullmatch(_plain(key)):
                     unknown.append(str(key))
             elif meaning in values:
-                where = f"{path}{f', camera {name}' if name else ''}"
+                location = f"{path}{f', camera {name}' if name else ''}"
                 raise CalibrationError.of(
-                    where, f"{values[meaning][0]} and {key} both give the {meaning.replace('_', ' ')}", "one"
+                    location,
+                    f"{values[meaning][0]} and {key} both give the {meaning.replace('_', ' ')}",
+                    "one",
                 )
             else:
                 values[meaning] = (str(key), value)
@@ -175,55 +177,55 @@ class Entries:
         line = line_of(self.text, key) if key else None
         return f"{self.path}{f':{line}' if line else ''}{f', camera {self.name}' if self.name else ''}"
 
-    def wrong(self, meaning: str, found: str, allowed: str = "", mend: str = "") -> CalibrationError:
+    def wrong(self, meaning: str, fault: str, remedy: str = "", mend: str = "") -> CalibrationError:
         """An error at an entry, which names its key."""
         key = self.values[meaning][0] if meaning in self.values else meaning
-        return CalibrationError.of(self.where(meaning), f"{key} {found}", allowed, mend)
+        return CalibrationError.of(self.where(meaning), f"{key} {fault}", remedy, mend)
 
     def array(self, meaning: str, *shapes: tuple[int, ...]) -> Floats | None:
         """An entry as an array of one of the shapes, None where there is none."""
         if meaning not in self.values:
             return None
         array = numbers(self.values[meaning][1])
-        allowed = " or ".join(" x ".join(map(str, shape)) for shape in shapes)
+        expected = " or ".join(" x ".join(map(str, shape)) for shape in shapes)
         if array is None:
-            raise self.wrong(meaning, "is no matrix", f"numbers, {allowed}")
+            raise self.wrong(meaning, "is no matrix", f"numbers, {expected}")
         if not np.isfinite(array).all():
-            raise self.wrong(meaning, "has a number that is not finite", f"finite numbers, {allowed}")
+            raise self.wrong(meaning, "has a number that is not finite", f"finite numbers, {expected}")
         squeezed = array.reshape(-1) if 1 in array.shape else array
         for shape in shapes:
             if squeezed.shape == shape or (len(shape) == 2 and squeezed.shape == (shape[0] * shape[1],)):
                 return squeezed.reshape(shape)
-        raise self.wrong(meaning, f"is {' x '.join(map(str, array.shape)) or 'one number'}", allowed)
+        raise self.wrong(meaning, f"is {' x '.join(map(str, array.shape)) or 'one number'}", expected)
 
     def size(self) -> tuple[int, int] | None:
         """Width and height of the images, px."""
-        found: Any = None
+        entry: Any = None
         if "size" in self.values:
-            found = self.values["size"][1]
-            if isinstance(found, Mapping):
-                sides = {_meaning(str(key)): value for key, value in found.items()}
-                found = [sides.get("width"), sides.get("height")]
+            entry = self.values["size"][1]
+            if isinstance(entry, Mapping):
+                sides = {_meaning(str(key)): value for key, value in entry.items()}
+                entry = [sides.get("width"), sides.get("height")]
         elif {"width", "height"} <= self.values.keys():
-            found = [self.values["width"][1], self.values["height"][1]]
-        if found is None:
+            entry = [self.values["width"][1], self.values["height"][1]]
+        if entry is None:
             return None
-        array = numbers(found)
+        array = numbers(entry)
         if array is None or array.size != 2 or not (array >= 1).all() or (array % 1).any():
             raise self.wrong(
                 "size" if "size" in self.values else "width", "is no size", "width, height in px"
             )
         return int(array.flat[0]), int(array.flat[1])
 
-    def unit(self, given: str | None) -> float:
+    def unit(self, requested: str | None) -> float:
         """Metres of the file's unit."""
         if "unit" not in self.values:
-            return UNITS[given or "m"]
+            return UNITS[requested or "m"]
         unit = str(self.values["unit"][1]).strip().lower()
         if unit not in UNITS:
             raise self.wrong("unit", f"is {unit!r}", ", ".join(UNITS))
-        if given is not None and UNITS[given] != UNITS[unit]:
-            raise self.wrong("unit", f"is {unit!r}, but unit {given!r} is given", "one of both")
+        if requested is not None and UNITS[requested] != UNITS[unit]:
+            raise self.wrong("unit", f"is {unit!r}, but unit {requested!r} is given", "one of both")
         return UNITS[unit]
 
     def intrinsics(self) -> Intrinsics:
@@ -247,17 +249,26 @@ class Entries:
             parts = {name: self.array(name, (), (1,)) for name in ("fx", "fy", "cx", "cy")}
             missing = [name for name, value in parts.items() if value is None]
             if missing:
-                what = "no camera matrix" if len(missing) == 4 else f"no {', '.join(missing)}"
-                raise CalibrationError.of(self.where(), what, "a camera matrix, or fx, fy, cx and cy")
+                fault = "no camera matrix" if len(missing) == 4 else f"no {', '.join(missing)}"
+                raise CalibrationError.of(self.where(), fault, "a camera matrix, or fx, fy, cx and cy")
             fx, fy, cx, cy = (float(value.item()) for value in parts.values() if value is not None)
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
 
     def _fisheye(self) -> bool:
         model = _plain(str(self.values["model"][1])) if "model" in self.values else ""
-        known = ("", "plumbbob", "brown", "opencv", "pinhole", "rationalpolynomial", "radtan", "perspective")
-        if model not in (*known, "fisheye", "equidistant", "kannalabrandt", "opencvfisheye"):
+        pinhole_models = (
+            "",
+            "plumbbob",
+            "brown",
+            "opencv",
+            "pinhole",
+            "rationalpolynomial",
+            "radtan",
+            "perspective",
+        )
+        if model not in (*pinhole_models, "fisheye", "equidistant", "kannalabrandt", "opencvfisheye"):
             raise self.wrong("model", f"is {model!r}", "plumb_bob, rational_polynomial or fisheye")
-        return model not in known or ("fisheye" in self.values and bool(self.values["fisheye"][1]))
+        return model not in pinhole_models or ("fisheye" in self.values and bool(self.values["fisheye"][1]))
 
     def distortion(self) -> Floats:
         """Coefficients in the file's order; none if it has none."""

@@ -15,10 +15,10 @@ class CalibrationError(ValueError):
     """A calibration file that cannot be read, or does not say which camera it is of."""
 
     @classmethod
-    def of(cls, where: str, found: str, allowed: str = "", mend: str = "") -> CalibrationError:
-        """`where`, what was found there, what is allowed, how to mend it."""
-        parts = [found, f"allowed: {allowed}" if allowed else "", mend]
-        return cls(f"{where}: " + "; ".join(part for part in parts if part))
+    def of(cls, location: str, fault: str, remedy: str = "", mend: str = "") -> CalibrationError:
+        """`location`, what was found there, what is allowed, how to mend it."""
+        parts = [fault, f"allowed: {remedy}" if remedy else "", mend]
+        return cls(f"{location}: " + "; ".join(part for part in parts if part))
 
 
 def numbers(value: Any) -> np.ndarray[Any, np.dtype[np.float64]] | None:
@@ -36,8 +36,8 @@ def numbers(value: Any) -> np.ndarray[Any, np.dtype[np.float64]] | None:
             return None
         data = numbers(value["data"])
         rows, columns = value["rows"], value["cols"]
-        whole = isinstance(rows, int | float) and isinstance(columns, int | float)
-        if data is None or not whole or data.size != rows * columns:
+        is_shape = isinstance(rows, int | float) and isinstance(columns, int | float)
+        if data is None or not is_shape or data.size != rows * columns:
             return None
         return data.reshape(int(rows), int(columns))
     if isinstance(value, str | bytes | bool) or value is None:

@@ -56,8 +56,8 @@ def read_tree(path: Path) -> tuple[dict[str, Any], str]:
         raise CalibrationError.of(str(path), "no text", FORMATS) from error
     tree = _parse(path, text)
     if not isinstance(tree, dict) or not tree:
-        found = "no entries" if not tree else f"a {type(tree).__name__} instead of named entries"
-        raise CalibrationError.of(str(path), found, FORMATS)
+        fault = "no entries" if not tree else f"a {type(tree).__name__} instead of named entries"
+        raise CalibrationError.of(str(path), fault, FORMATS)
     return tree, text
 
 
@@ -69,8 +69,8 @@ def _parse(path: Path, text: str) -> Any:
         try:
             content = json.loads(text, object_pairs_hook=_distinct)
         except json.JSONDecodeError as error:
-            where = f"{path}:{error.lineno}:{error.colno}"
-            raise CalibrationError.of(where, f"no JSON: {error.msg}", FORMATS) from error
+            location = f"{path}:{error.lineno}:{error.colno}"
+            raise CalibrationError.of(location, f"no JSON: {error.msg}", FORMATS) from error
         except (ValueError, RecursionError) as error:
             raise CalibrationError.of(str(path), f"no JSON: {error}", FORMATS) from error
         return {str(n): item for n, item in enumerate(content)} if isinstance(content, list) else content
@@ -79,9 +79,9 @@ def _parse(path: Path, text: str) -> Any:
             return tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             place = _LINE.search(str(error))
-            where = f"{path}:{place[1]}:{place[2]}" if place else str(path)
+            location = f"{path}:{place[1]}:{place[2]}" if place else str(path)
             message = _LINE.sub("", str(error)).strip()
-            raise CalibrationError.of(where, f"no TOML: {message}", FORMATS) from error
+            raise CalibrationError.of(location, f"no TOML: {message}", FORMATS) from error
     return _yaml(path, text)
 
 
@@ -101,8 +101,8 @@ def _yaml(path: Path, text: str) -> Any:
         return yaml.safe_load(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
-        where = f"{path}:{mark.line + 1}:{mark.column + 1}" if mark else str(path)
-        raise CalibrationError.of(where, f"no YAML: {error.problem}", FORMATS) from error
+        location = f"{path}:{mark.line + 1}:{mark.column + 1}" if mark else str(path)
+        raise CalibrationError.of(location, f"no YAML: {error.problem}", FORMATS) from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise CalibrationError.of(str(path), f"no YAML: {error}", FORMATS) from error
 
@@ -117,10 +117,10 @@ def _storage(path: Path, text: str) -> dict[str, Any]:
         return {name: _node(storage.getNode(name)) for name in root.keys()}  # noqa: SIM118 (a cv2.FileNode)
     except (cv2.error, TypeError, ValueError, SystemError) as error:
         place = _AT.search(str(error))
-        where = f"{path}:{place[1]}" if place else str(path)
+        location = f"{path}:{place[1]}" if place else str(path)
         kind = "XML" if text.lstrip().startswith("<") else "YAML"
         message = f": {place[2]}" if place else ""
-        raise CalibrationError.of(where, f"it is not OpenCV {kind}{message}", FORMATS) from error
+        raise CalibrationError.of(location, f"it is not OpenCV {kind}{message}", FORMATS) from error
 
 
 def _node(node: Any) -> Any:
@@ -179,7 +179,7 @@ def read_calibrations(
     if unit is not None and unit not in UNITS:
         raise CalibrationError(f"unit {unit!r}; allowed: {', '.join(UNITS)}")
     entries = Entries.chosen(_read_all(path), only)
-    return {name: _view(found, unit, above_ground) for name, found in entries.items()}
+    return {name: _view(camera_entries, unit, above_ground) for name, camera_entries in entries.items()}
 
 
 def read_intrinsics(path: Path | str, camera: str | None = None) -> Intrinsics:
@@ -270,41 +270,41 @@ def _choose(entries: Entries, scale: float) -> GroundView:
 
 
 def _rectified(entries: Entries) -> bool:
-    """Whether the projection is ROS's: intrinsics of a rectified image, in camera coordinates."""
+    """True if the projection is ROS's: intrinsics of a rectified image, in camera coordinates."""
     projection = numbers(entries.values["projection"][1])
-    last = projection is not None and projection.size == 12 and not projection.reshape(3, 4)[:, 3].any()
-    return bool(last and "matrix" in entries.values)
+    is_centred = projection is not None and projection.size == 12 and not projection.reshape(3, 4)[:, 3].any()
+    return bool(is_centred and "matrix" in entries.values)
 
 
-def _agree(entries: Entries, one: Camera, other: Camera) -> None:
-    points = one.centre + (np.array([[0, 0, 5], [1, 1, 6], [-1, 0.5, 7.0]]) @ one.rotation)
-    apart = np.abs(
-        one.project(points)
-        - Camera(other.matrix, np.zeros(0), other.rotation, other.translation).project(points)
+def _agree(entries: Entries, first: Camera, second: Camera) -> None:
+    points = first.centre + (np.array([[0, 0, 5], [1, 1, 6], [-1, 0.5, 7.0]]) @ first.rotation)
+    distance = np.abs(
+        first.project(points)
+        - Camera(second.matrix, np.zeros(0), second.rotation, second.translation).project(points)
     ).max()
-    if not apart < 1.0:
+    if not distance < 1.0:
         raise entries.wrong(
-            "projection", f"and the matrix with its pose differ by {apart:.3g} px", "both the same, or one"
+            "projection", f"and the matrix with its pose differ by {distance:.3g} px", "both the same, or one"
         )
 
 
 def _posed(entries: Entries, scale: float) -> Camera:
     intrinsics = entries.intrinsics()
-    given = [m for m in ("rotation", "world_to_camera", "camera_to_world") if m in entries.values]
-    if len(given) > 1:
-        names = " and ".join(entries.values[m][0] for m in given)
-        raise CalibrationError.of(entries.where(given[0]), f"{names} both give the pose", "one of them")
-    if given in ([], ["rotation"]):
-        for meaning, what in (("rotation", "3 x 3 or a rotation vector of 3"), ("translation", "3 numbers")):
+    poses = [m for m in ("rotation", "world_to_camera", "camera_to_world") if m in entries.values]
+    if len(poses) > 1:
+        names = " and ".join(entries.values[m][0] for m in poses)
+        raise CalibrationError.of(entries.where(poses[0]), f"{names} both give the pose", "one of them")
+    if poses in ([], ["rotation"]):
+        for meaning, shape in (("rotation", "3 x 3 or a rotation vector of 3"), ("translation", "3 numbers")):
             if meaning not in entries.values:
-                raise CalibrationError.of(entries.where(), f"no {meaning}", f"{meaning}: {what}")
+                raise CalibrationError.of(entries.where(), f"no {meaning}", f"{meaning}: {shape}")
         rotation, shift = _rotation(entries), entries.array("translation", (3,))
         assert shift is not None
     else:
-        pose = entries.array(given[0], (3, 4), (4, 4))
+        pose = entries.array(poses[0], (3, 4), (4, 4))
         assert pose is not None
         rotation, shift = pose[:3, :3], pose[:3, 3]
-        if given == ["camera_to_world"]:
+        if poses == ["camera_to_world"]:
             check_rotation(rotation)
             rotation, shift = rotation.T, -rotation.T @ shift
     return Camera(
@@ -327,13 +327,15 @@ def _homography(entries: Entries, scale: float) -> GroundHomography:
             "may map the ground to the image or the image to the ground",
             "the name ground_to_image or image_to_ground",
         )
-    both = [m for m in ("ground_to_image", "image_to_ground") if m in entries.values]
-    if len(both) > 1:
-        raise entries.wrong(both[0], f"and {entries.values[both[1]][0]} are both there", "one of them")
-    given = entries.array(both[0], (3, 3))
-    assert given is not None
-    matrix = given
-    if both[0] == "image_to_ground":
+    directions = [m for m in ("ground_to_image", "image_to_ground") if m in entries.values]
+    if len(directions) > 1:
+        raise entries.wrong(
+            directions[0], f"and {entries.values[directions[1]][0]} are both there", "one of them"
+        )
+    homography = entries.array(directions[0], (3, 3))
+    assert homography is not None
+    matrix = homography
+    if directions[0] == "image_to_ground":
         if abs(np.linalg.det(matrix)) == 0:
             raise entries.wrong("image_to_ground", "cannot be inverted", "an invertible 3 x 3 matrix")
         matrix = np.asarray(np.linalg.inv(matrix), dtype=np.float64)

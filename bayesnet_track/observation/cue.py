@@ -288,11 +288,11 @@ def own_text_of(error: BaseException) -> str:
 
 
 def _place_of(error: BaseException) -> str:
-    place, at = "", error.__traceback__
-    while at is not None:
-        if str(at.tb_frame.f_globals.get("__name__")).startswith(CUE_FILE_MODULE):
-            place = f" ({PurePath(at.tb_frame.f_code.co_filename).name}:{at.tb_lineno})"
-        at = at.tb_next
+    place, entry = "", error.__traceback__
+    while entry is not None:
+        if str(entry.tb_frame.f_globals.get("__name__")).startswith(CUE_FILE_MODULE):
+            place = f" ({PurePath(entry.tb_frame.f_code.co_filename).name}:{entry.tb_lineno})"
+        entry = entry.tb_next
     return place
 
 
@@ -332,9 +332,9 @@ def foreign_part(measured: Measurement) -> str:
             continue
         if type(value) is float or (type(value) is np.ndarray and value.dtype.kind in "iuf"):
             continue
-        found = real_numbers(value)
-        if isinstance(found, str):
-            return f"Measurement whose {name} is of type {found}"
+        converted = real_numbers(value)
+        if isinstance(converted, str):
+            return f"Measurement whose {name} is of type {converted}"
     return ""
 
 

@@ -93,21 +93,21 @@ def own_cues(cues: Iterable[GivenCue]) -> dict[str, CueDeclaration]:
     Raises:
         CueError: a file cannot be loaded, two cues have one name, or one has the name of an installed cue.
     """
-    found: dict[str, CueDeclaration] = {}
-    for one in [cues] if isinstance(cues, str | PathLike | CueDeclaration) else cues:
-        if isinstance(one, CueDeclaration):
-            declaration, where = one, "cues"
-        elif isinstance(one, str | PathLike):
-            declaration, where = load_cue_file(one).declaration, fspath(one)
+    declarations: dict[str, CueDeclaration] = {}
+    for cue in [cues] if isinstance(cues, str | PathLike | CueDeclaration) else cues:
+        if isinstance(cue, CueDeclaration):
+            declaration, location = cue, "cues"
+        elif isinstance(cue, str | PathLike):
+            declaration, location = load_cue_file(cue).declaration, fspath(cue)
         else:
             raise CueError(
-                f"cues: {type(one).__name__}; allowed: a CueDeclaration, or the path of a cue file"
+                f"cues: {type(cue).__name__}; allowed: a CueDeclaration, or the path of a cue file"
             )
-        if found.get(declaration.name, declaration) is not declaration:
-            raise CueError(f"{where}: two cues are called {declaration.name!r}; give one another name")
-        _check_name(declaration, where)
-        found[declaration.name] = declaration
-    return found
+        if declarations.get(declaration.name, declaration) is not declaration:
+            raise CueError(f"{location}: two cues are called {declaration.name!r}; give one another name")
+        _check_name(declaration, location)
+        declarations[declaration.name] = declaration
+    return declarations
 
 
 def file_of(declaration: CueDeclaration) -> CueFile | None:
@@ -127,20 +127,20 @@ def unpack(files: bytes) -> None:
         _loaded_from(path, content)
 
 
-def _check_name(declaration: CueDeclaration, where: str) -> None:
-    other = installed_cues().get(declaration.name)
-    if other is None or other is declaration:
+def _check_name(declaration: CueDeclaration, location: str) -> None:
+    installed = installed_cues().get(declaration.name)
+    if installed is None or installed is declaration:
         return
-    file = file_of(other)
+    file = file_of(installed)
     whose = "a built-in cue" if file is None else f"the cue of {file.path}"
-    raise CueError(f"{where}: the cue {declaration.name!r} has the name of {whose}; give it another name")
+    raise CueError(f"{location}: the cue {declaration.name!r} has the name of {whose}; give it another name")
 
 
 def _loaded_from(path: str, content: bytes) -> CueFile:
     digest = sha256(content).hexdigest()
-    known = _loaded.get(digest)
-    if known is not None:
-        return known if known.path == path else replace(known, path=path)
+    cached = _loaded.get(digest)
+    if cached is not None:
+        return cached if cached.path == path else replace(cached, path=path)
     module = ModuleType(CUE_FILE_MODULE + digest[:16])
     module.__file__ = path
     sys.modules[module.__name__] = module
@@ -150,14 +150,18 @@ def _loaded_from(path: str, content: bytes) -> CueFile:
         del sys.modules[module.__name__]
         if isinstance(error, CueError):
             raise
-        lines = [at.lineno for at in traceback.extract_tb(error.__traceback__) if at.filename == path]
-        where = f"{path}:{lines[-1]}" if lines else path
+        lines = [
+            entry.lineno for entry in traceback.extract_tb(error.__traceback__) if entry.filename == path
+        ]
+        location = f"{path}:{lines[-1]}" if lines else path
         raised = f"{type(error).__name__}: {own_text_of(error)}"
-        raise CueError(f"{where}: the cue file cannot be loaded: it raised {raised}") from error
+        raise CueError(f"{location}: the cue file cannot be loaded: it raised {raised}") from error
     declaration = getattr(module, VARIABLE, None)
     if not isinstance(declaration, CueDeclaration):
         del sys.modules[module.__name__]
-        raise CueError(f"{path}: {_found(declaration)}; needed: {VARIABLE} = CueDeclaration(name, make=...)")
+        raise CueError(
+            f"{path}: {_describe(declaration)}; needed: {VARIABLE} = CueDeclaration(name, make=...)"
+        )
     file = CueFile(path, content, declaration)
     _loaded[digest] = file
     return file
@@ -167,13 +171,13 @@ def _compile(path: str, content: bytes) -> Any:
     try:
         return compile(content, path, "exec", dont_inherit=True)
     except SyntaxError as error:
-        where = path if error.lineno is None else f"{path}:{error.lineno}:{error.offset or 1}"
-        raise CueError(f"{where}: the cue file is not Python: {error.msg}") from error
+        location = path if error.lineno is None else f"{path}:{error.lineno}:{error.offset or 1}"
+        raise CueError(f"{location}: the cue file is not Python: {error.msg}") from error
     except ValueError as error:  # a zero byte
         raise CueError(f"{path}: the cue file is not Python: {text_of(error)}") from error
 
 
-def _found(declaration: Any) -> str:
+def _describe(declaration: Any) -> str:
     if declaration is None:
         return f"no {VARIABLE} in the cue file"
     return f"{VARIABLE} in the cue file is a {type(declaration).__name__}"

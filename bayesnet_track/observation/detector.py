@@ -102,24 +102,24 @@ NOTHING = Detections(np.empty((0, 4)), np.empty(0), ())
 """No detection."""
 
 
-def check_detections(found: Detections) -> Detections:
+def check_detections(detections: Detections) -> Detections:
     """A detector's answer with boxes and scores as float64 arrays: a detector is a guest's code.
 
     Raises:
         ValueError: anything but real numbers: (N, 4) boxes with area and N scores, all finite, and N labels.
     """
-    boxes, scores = real_numbers(found.boxes), real_numbers(found.scores)
-    for name, one in (("boxes", boxes), ("scores", scores)):
-        if isinstance(one, str):
-            raise ValueError(f"{name} of type {one}; allowed: real numbers")
+    boxes, scores = real_numbers(detections.boxes), real_numbers(detections.scores)
+    for name, values in (("boxes", boxes), ("scores", scores)):
+        if isinstance(values, str):
+            raise ValueError(f"{name} of type {values}; allowed: real numbers")
     assert not isinstance(boxes, str) and not isinstance(scores, str)
-    labels = tuple(found.labels)
+    labels = tuple(detections.labels)
     if boxes.ndim != 2 or boxes.shape[1] != 4 or scores.shape != (len(boxes),) or len(labels) != len(boxes):
         counts = f"scores of shape {scores.shape}, {len(labels)} labels"
         raise ValueError(f"boxes of shape {boxes.shape}, {counts}; allowed: (N, 4), (N,), N")
     if not (np.isfinite(boxes).all() and np.isfinite(scores).all() and (boxes[:, 2:] > 0).all()):
         raise ValueError("boxes or scores that are not finite, or boxes without area")
-    return Detections(boxes, scores, labels, int(found.cut))
+    return Detections(boxes, scores, labels, int(detections.cut))
 
 
 @runtime_checkable
@@ -197,14 +197,14 @@ def installed_detectors(named: Iterable[str] = ()) -> Mapping[str, DetectorDecla
 
 def detectors_of_graphs(named: Iterable[str] = ()) -> Mapping[str, DetectorDeclaration]:
     """Detectors that a graph may name: those of `installed_detectors`, and `GIVEN`."""
-    given = DetectorDeclaration(
+    declaration = DetectorDeclaration(
         name=GIVEN,
         summary="What a file of detections holds.",
         parameters=GivenParameters,
         make=_not_given,
         cost_ms=0.0,
     )
-    return {**installed_detectors(named), GIVEN: given}
+    return {**installed_detectors(named), GIVEN: declaration}
 
 
 def _not_given(parameters: DetectorParameters) -> Detector:
@@ -245,10 +245,10 @@ def detections_of(found: Any) -> Detections:
     return check_detections(Detections(centres[order], scores[order], tuple(labels[k] for k in order)))
 
 
-def fetched(given: Any) -> Floats:
+def fetched(values: Any) -> Floats:
     """The values of an array, a list or a tensor on any device."""
-    here = given.cpu() if hasattr(given, "cpu") else given
-    return np.asarray(here, dtype=np.float64)
+    host_values = values.cpu() if hasattr(values, "cpu") else values
+    return np.asarray(host_values, dtype=np.float64)
 
 
 def _of_each(boxes: Any, names: tuple[str, ...], count: int) -> Floats | None:
@@ -263,8 +263,8 @@ def _of_each(boxes: Any, names: tuple[str, ...], count: int) -> Floats | None:
     return None
 
 
-def _labels(found: Any, boxes: Any, count: int) -> list[str]:
-    named = (getattr(found, "data", None) or {}) if isinstance(getattr(found, "data", None), dict) else {}
+def _labels(results: Any, boxes: Any, count: int) -> list[str]:
+    named = (getattr(results, "data", None) or {}) if isinstance(getattr(results, "data", None), dict) else {}
     if "class_name" in named:
         labels = [str(name) for name in named["class_name"]]
         if len(labels) != count:
@@ -273,9 +273,9 @@ def _labels(found: Any, boxes: Any, count: int) -> list[str]:
     numbers = _of_each(boxes, ("class_id", "cls"), count)
     if numbers is None:
         return [""] * count
-    names = getattr(found, "names", None)
-    known = names if isinstance(names, dict) else dict(enumerate(names or ()))
-    return [str(known.get(int(number), int(number))) for number in numbers]
+    names = getattr(results, "names", None)
+    class_names = names if isinstance(names, dict) else dict(enumerate(names or ()))
+    return [str(class_names.get(int(number), int(number))) for number in numbers]
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,13 +87,13 @@ def box_means(
     return np.asarray(means.reshape(len(boxes), down * across))
 
 
-def _cells(boxes: Floats, across: int, down: int) -> Floats:
-    """(N * down * across, 4) centre boxes of the cells, row by row of each box."""
+def _cells(boxes: Floats, columns: int, rows: int) -> Floats:
+    """(N * rows * columns, 4) centre boxes of the cells, row by row of each box."""
     x, y, w, h = (boxes[:, n, None, None] for n in range(4))
-    cells = np.empty((len(boxes), down, across, 4))
-    cells[..., 0] = x + ((np.arange(across) + 0.5) / across - 0.5) * w
-    cells[..., 1] = y + ((np.arange(down)[:, None] + 0.5) / down - 0.5) * h
-    cells[..., 2], cells[..., 3] = w / across, h / down
+    cells = np.empty((len(boxes), rows, columns, 4))
+    cells[..., 0] = x + ((np.arange(columns) + 0.5) / columns - 0.5) * w
+    cells[..., 1] = y + ((np.arange(rows)[:, None] + 0.5) / rows - 0.5) * h
+    cells[..., 2], cells[..., 3] = w / columns, h / rows
     return cells.reshape(-1, 4)
 
 
@@ -108,8 +108,8 @@ def crop_of(planes: Planes, plane: Plane, region: Region) -> tuple[Array, tuple[
     )
     if inner.is_empty:
         return planes[plane][:0, :0], (region.x0, region.y0)
-    moved = Region(inner.x0 - has.x0, inner.y0 - has.y0, inner.x1 - has.x0, inner.y1 - has.y0)
-    return moved.of(planes[plane]), (inner.x0, inner.y0)
+    local = Region(inner.x0 - has.x0, inner.y0 - has.y0, inner.x1 - has.x0, inner.y1 - has.y0)
+    return local.of(planes[plane]), (inner.x0, inner.y0)
 
 
 def crops_of(planes: Sequence[Planes], plane: Plane) -> tuple[Array, Ints, Ints]:
@@ -118,14 +118,14 @@ def crops_of(planes: Sequence[Planes], plane: Plane) -> tuple[Array, Ints, Ints]
     With it (T, 2) where the pixels of each target's crop begin and its columns, and (T, 4) x0, y0, x1, y1 of
     the crop in the frame. Targets that have the same planes share a crop.
     """
-    own = {id(one): one for one in planes}
-    values = [for_reading(one[plane]).ravel() for one in own.values()]
-    begins = dict(zip(own, np.cumsum([0, *(len(one) for one in values)]).tolist(), strict=False))
-    regions = [one.region for one in planes]
+    distinct = {id(target): target for target in planes}
+    values = [for_reading(target[plane]).ravel() for target in distinct.values()]
+    begins = dict(zip(distinct, np.cumsum([0, *(len(crop) for crop in values)]).tolist(), strict=False))
+    regions = [target.region for target in planes]
     return (
         values[0] if len(values) == 1 else for_reading(np.concatenate(values)),
-        np.array([(begins[id(one)], one.region.x1 - one.region.x0) for one in planes]),
-        np.array([(one.x0, one.y0, one.x1, one.y1) for one in regions]),
+        np.array([(begins[id(target)], target.region.x1 - target.region.x0) for target in planes]),
+        np.array([(region.x0, region.y0, region.x1, region.y1) for region in regions]),
     )
 
 

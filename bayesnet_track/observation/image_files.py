@@ -85,30 +85,32 @@ def _sizes(data: bytes | bytearray) -> Iterable[Size]:
         heights = [side for name, side in sides if name == b"HEIGHT"]
         return [(max(widths), max(heights))] if widths and heights else []
     if head[:1] == b"P":
-        found = _PNM.match(data[:4096])
-        return [(int(found[1]), int(found[2]))] if found else []
+        header = _PNM.match(data[:4096])
+        return [(int(header[1]), int(header[2]))] if header else []
     if head[4:8] == b"jP  " or head.startswith(b"\xff\x4f\xff\x51"):
         # Right, bottom, left, top of the image on its canvas, in the codestream: what the box says is a copy.
-        grids = [unpack_from(">4I", data, at.start() + 8) for at in re.finditer(b"\xff\x4f\xff\x51", data)]
+        grids = [
+            unpack_from(">4I", data, marker.start() + 8) for marker in re.finditer(b"\xff\x4f\xff\x51", data)
+        ]
         return [(max(right - left, 0), max(bottom - top, 0)) for right, bottom, left, top in grids]
     return []
 
 
 def _jpeg(data: bytes | bytearray) -> Iterator[Size]:
     """Of the first frame header: a decoder refuses a second one."""
-    at = 2
-    while (at := data.find(b"\xff", at)) >= 0 and at + 4 <= len(data):
-        marker = data[at + 1]
+    offset = 2
+    while (offset := data.find(b"\xff", offset)) >= 0 and offset + 4 <= len(data):
+        marker = data[offset + 1]
         if marker in (0x00, 0xFF) or marker in _JPEG_ALONE:
-            at += 1 if marker == 0xFF else 2
+            offset += 1 if marker == 0xFF else 2
         elif marker in _JPEG_FRAMES:
-            height, width = unpack_from(">HH", data, at + 5)
+            height, width = unpack_from(">HH", data, offset + 5)
             yield width, height
             return
         elif marker in (0xD9, 0xDA):  # the end, or pixels before any header
             return
         else:
-            at += 2 + max(unpack_from(">H", data, at + 2)[0], 2)
+            offset += 2 + max(unpack_from(">H", data, offset + 2)[0], 2)
 
 
 def _bmp(data: bytes | bytearray) -> Iterator[Size]:
@@ -123,15 +125,15 @@ def _tiff_sizes(data: bytes | bytearray) -> Iterator[Size]:
     """Of the first directory, that of a tile too: a tile is decoded whole, however little of it is seen."""
     order = "<" if data[:2] == b"II" else ">"
     big = data[2:4] in (b"+\0", b"\0+")
-    at = unpack_from(f"{order}Q", data, 8)[0] if big else unpack_from(f"{order}I", data, 4)[0]
-    if at >= len(data):
+    offset = unpack_from(f"{order}Q", data, 8)[0] if big else unpack_from(f"{order}I", data, 4)[0]
+    if offset >= len(data):
         return
-    count = unpack_from(f"{order}Q" if big else f"{order}H", data, at)[0]
+    count = unpack_from(f"{order}Q" if big else f"{order}H", data, offset)[0]
     entry = Struct(f"{order}HHQ8s" if big else f"{order}HHI4s")
-    at += 8 if big else 2
+    offset += 8 if big else 2
     sides: dict[int, int] = {}
     for number in range(min(count, 65536)):
-        tag, kind, _, raw = entry.unpack_from(data, at + number * entry.size)
+        tag, kind, _, raw = entry.unpack_from(data, offset + number * entry.size)
         length = _TIFF_TYPES.get(kind)
         if tag in _TIFF_WIDTHS + _TIFF_HEIGHTS and length is not None and length <= len(raw):
             side = int.from_bytes(raw[:length], "little" if order == "<" else "big")
@@ -232,27 +234,27 @@ def _tiff_pages(name: str, data: Bytes) -> tuple[int, ...]:
     pointer = Struct(f"{order}Q" if is_big else f"{order}I")
     count_of = Struct(f"{order}Q" if is_big else f"{order}H")
     entry = Struct(f"{order}HHQ8s" if is_big else f"{order}HHI4s")
-    at = pointer.unpack_from(data, 8 if is_big else 4)[0]
-    seen: set[int] = set()
-    found: list[int] = []
+    offset = pointer.unpack_from(data, 8 if is_big else 4)[0]
+    visited: set[int] = set()
+    pages: list[int] = []
     description = ""
-    while at and at not in seen and at < len(data) and len(seen) < MOST_PAGES:
-        seen.add(at)
-        first = at + count_of.size
-        end = first + min(count_of.unpack_from(data, at)[0], 65536) * entry.size
+    while offset and offset not in visited and offset < len(data) and len(visited) < MOST_PAGES:
+        visited.add(offset)
+        first = offset + count_of.size
+        end = first + min(count_of.unpack_from(data, offset)[0], 65536) * entry.size
         tags = {}
         for tag, _, length, raw in entry.iter_unpack(data[first:end]):
             tags[tag] = (length, raw)
         subfile = tags.get(_SUBFILE_TYPE, (1, b"\0" * 4))[1][:4]
         if not unpack_from(f"{order}I", subfile)[0] & _SUBFILES:
-            if not found and _DESCRIPTION in tags:
+            if not pages and _DESCRIPTION in tags:
                 length, raw = tags[_DESCRIPTION]
                 start = pointer.unpack_from(raw)[0]
                 description = bytes(data[start : start + length]).decode("utf-8", "replace")
-            found.append(at)
-        at = pointer.unpack_from(data, end)[0] if end + pointer.size <= len(data) else 0
-    _check_axes(name, description, len(found))
-    return tuple(found)
+            pages.append(offset)
+        offset = pointer.unpack_from(data, end)[0] if end + pointer.size <= len(data) else 0
+    _check_axes(name, description, len(pages))
+    return tuple(pages)
 
 
 def _check_axes(name: str, description: str, pages: int) -> None:
@@ -267,9 +269,9 @@ def _check_axes(name: str, description: str, pages: int) -> None:
             f"{name}: its description says images={images[1]}, and it has {pages} pages; "
             "allowed: a page for each image; save it anew as an image sequence"
         )
-    several = {axis: size for axis, size in axes.items() if size > 1}
-    if pages > 1 and prod(several.values()) == pages and (len(several) > 1 or "channels" in several):
-        shape = ", ".join(f"{size} {axis}" for axis, size in several.items())
+    long_axes = {axis: size for axis, size in axes.items() if size > 1}
+    if pages > 1 and prod(long_axes.values()) == pages and (len(long_axes) > 1 or "channels" in long_axes):
+        shape = ", ".join(f"{size} {axis}" for axis, size in long_axes.items())
         raise PictureError(
             f"{name}: its {pages} pages are {shape} by its description, and which of them follow each other "
             "in time is open; allowed: one axis, time; save one channel and one slice as a stack of its own"
@@ -278,45 +280,45 @@ def _check_axes(name: str, description: str, pages: int) -> None:
 
 def _animation_control(data: Bytes) -> int:
     """Frames that a PNG says it has in its animation; 1 without one."""
-    at = 8
-    while at + 8 <= len(data):
-        length, kind = unpack_from(">I4s", data, at)
+    offset = 8
+    while offset + 8 <= len(data):
+        length, kind = unpack_from(">I4s", data, offset)
         if kind == b"acTL":
-            return int(unpack_from(">I", data, at + 8)[0])
+            return int(unpack_from(">I", data, offset + 8)[0])
         if kind in (b"IDAT", b"IEND"):
             break
-        at += 12 + length
+        offset += 12 + length
     return 1
 
 
 def _riff_chunks(data: Bytes) -> Iterator[bytes]:
-    at = 12
-    while at + 8 <= len(data):
-        kind, length = unpack_from("<4sI", data, at)
+    offset = 12
+    while offset + 8 <= len(data):
+        kind, length = unpack_from("<4sI", data, offset)
         yield kind
-        at += 8 + length + length % 2
+        offset += 8 + length + length % 2
 
 
 def _netpbm(data: Bytes) -> Iterator[int]:
     """Offsets at which images begin; an image without a valid header ends the file."""
-    at = 0
-    while at < len(data):
-        head = bytes(data[at : at + 4096])
-        found = _NETPBM.match(head)
-        if found is None:
+    offset = 0
+    while offset < len(data):
+        head = bytes(data[offset : offset + 4096])
+        header = _NETPBM.match(head)
+        if header is None:
             return
-        kind, width, height = found[1], int(found[2]), int(found[3])
-        end, row = found.end() + 1, -(-width // 8)
+        kind, width, height = header[1], int(header[2]), int(header[3])
+        end, row = header.end() + 1, -(-width // 8)
         if kind != b"P4":
-            largest = _LARGEST_VALUE.match(head, found.end())
+            largest = _LARGEST_VALUE.match(head, header.end())
             if largest is None:
                 return
             end = largest.end()
             row = width * (3 if kind == b"P6" else 1) * (2 if int(largest[1]) > 255 else 1)
-        yield at
-        at += end + row * height
-        while at < len(data) and bytes(data[at : at + 1]).isspace():
-            at += 1
+        yield offset
+        offset += end + row * height
+        while offset < len(data) and bytes(data[offset : offset + 1]).isspace():
+            offset += 1
 
 
 def read_checked(path: Path) -> bytes:
@@ -393,15 +395,15 @@ class Mask:
         """
         rows, columns = self.gray.shape
         x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
-        known = ~(np.isnan(x) | np.isnan(y))
-        x = np.clip(np.where(known, x, 0.0), 0.0, columns - 1.0)
-        y = np.clip(np.where(known, y, 0.0), 0.0, rows - 1.0)
+        is_number = ~(np.isnan(x) | np.isnan(y))
+        x = np.clip(np.where(is_number, x, 0.0), 0.0, columns - 1.0)
+        y = np.clip(np.where(is_number, y, 0.0), 0.0, rows - 1.0)
         left, top = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
         right, bottom = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
-        over, down = x - left, y - top
-        above = self.gray[top, left] * (1.0 - over) + self.gray[top, right] * over
-        below = self.gray[bottom, left] * (1.0 - over) + self.gray[bottom, right] * over
-        return np.where(known, (above * (1.0 - down) + below * down) / 255.0, np.nan)
+        dx, dy = x - left, y - top
+        upper = self.gray[top, left] * (1.0 - dx) + self.gray[top, right] * dx
+        lower = self.gray[bottom, left] * (1.0 - dx) + self.gray[bottom, right] * dx
+        return np.where(is_number, (upper * (1.0 - dy) + lower * dy) / 255.0, np.nan)
 
 
 def read_mask(path: Path) -> Mask:

@@ -33,9 +33,11 @@ class LabelRule:
         >>> np.exp(rule.log(["blue", ""])).tolist()
         [[0.25, 0.5], [1.0, 1.0]]
         """
-        known = {label: column for column, label in enumerate(self.labels)}
+        columns = {label: column for column, label in enumerate(self.labels)}
         nothing = (1.0,) * len(self.table)
-        rows = [[row[known[one]] for row in self.table] if one in known else nothing for one in labels]
+        rows = [
+            [row[columns[label]] for row in self.table] if label in columns else nothing for label in labels
+        ]
         return np.log(np.array(rows, dtype=np.float64).reshape(len(labels), len(self.table)))
 
     def log_nobody(self, labels: Sequence[str]) -> Floats:
@@ -57,8 +59,8 @@ class LabelRule:
         `weights` (M,), and how probably none is.
         """
         share = missed + weights @ (likelihoods / (likelihoods @ values)[:, None])
-        after = values * share
-        return np.asarray(after / after.sum())
+        posterior = values * share
+        return np.asarray(posterior / posterior.sum())
 
 
 @dataclass(frozen=True, eq=False)

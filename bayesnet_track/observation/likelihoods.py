@@ -60,41 +60,45 @@ class ReferenceRows(Sequence[Reference]):
             return references
         first = references[0]
         kinds = {name: _kind(values) for name, values in first.items()}
-        for one in references:
-            if one.keys() != kinds.keys() or any(
-                kind is None or _kind(one[name]) != kind for name, kind in kinds.items()
+        for reference in references:
+            if reference.keys() != kinds.keys() or any(
+                kind is None or _kind(reference[name]) != kind for name, kind in kinds.items()
             ):
                 return references
-        return ReferenceRows({name: np.array([one[name] for one in references]) for name in first})
+        return ReferenceRows(
+            {name: np.array([reference[name] for reference in references]) for name in first}
+        )
 
     @overload
-    def __getitem__(self, at: int) -> Reference: ...
+    def __getitem__(self, index: int) -> Reference: ...
 
     @overload
-    def __getitem__(self, at: slice) -> Sequence[Reference]: ...
+    def __getitem__(self, index: slice) -> Sequence[Reference]: ...
 
-    def __getitem__(self, at: int | slice) -> Reference | Sequence[Reference]:
-        if isinstance(at, slice):
-            return ReferenceRows({name: array[at] for name, array in self.columns.items()})
-        if not -len(self) <= at < len(self):
-            raise IndexError(at)
-        return {name: array[at, ...] for name, array in self.columns.items()}
+    def __getitem__(self, index: int | slice) -> Reference | Sequence[Reference]:
+        if isinstance(index, slice):
+            return ReferenceRows({name: array[index] for name, array in self.columns.items()})
+        if not -len(self) <= index < len(self):
+            raise IndexError(index)
+        return {name: array[index, ...] for name, array in self.columns.items()}
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
 
-    def extended(self, others: Sequence[Reference]) -> ReferenceRows | None:
+    def extended(self, additions: Sequence[Reference]) -> ReferenceRows | None:
         """These, then others; None where these hold other names, shapes or types."""
-        if not isinstance(others, ReferenceRows) or not self._is_like(others):
+        if not isinstance(additions, ReferenceRows) or not self._is_like(additions):
             return None
-        more = others.columns
-        return ReferenceRows({name: np.concatenate([one, more[name]]) for name, one in self.columns.items()})
+        columns = additions.columns
+        return ReferenceRows(
+            {name: np.concatenate([array, columns[name]]) for name, array in self.columns.items()}
+        )
 
     @staticmethod
-    def joined(first: Sequence[Reference], others: Sequence[Reference]) -> Sequence[Reference]:
+    def joined(first: Sequence[Reference], second: Sequence[Reference]) -> Sequence[Reference]:
         """References, then others."""
-        together = first.extended(others) if isinstance(first, ReferenceRows) else None
-        return ReferenceRows.of([*first, *others]) if together is None else together
+        together = first.extended(second) if isinstance(first, ReferenceRows) else None
+        return ReferenceRows.of([*first, *second]) if together is None else together
 
     @staticmethod
     def some(references: Sequence[Reference], rows: NDArray[np.intp]) -> Sequence[Reference]:
@@ -103,25 +107,25 @@ class ReferenceRows(Sequence[Reference]):
             return references.take(rows)
         return [references[row] for row in rows.tolist()]
 
-    def _is_like(self, others: ReferenceRows) -> bool:
-        own, new = self.columns, others.columns
-        return own.keys() == new.keys() and all(
-            new[name].shape[1:] == array.shape[1:] and new[name].dtype == array.dtype
-            for name, array in own.items()
+    def _is_like(self, references: ReferenceRows) -> bool:
+        columns, new_columns = self.columns, references.columns
+        return columns.keys() == new_columns.keys() and all(
+            new_columns[name].shape[1:] == array.shape[1:] and new_columns[name].dtype == array.dtype
+            for name, array in columns.items()
         )
 
     def take(self, rows: NDArray[np.intp]) -> ReferenceRows:
         """Rows of some targets."""
         return ReferenceRows({name: array[rows] for name, array in self.columns.items()})
 
-    def replaced(self, rows: NDArray[np.intp], others: ReferenceRows) -> ReferenceRows | None:
+    def replaced(self, rows: NDArray[np.intp], replacements: ReferenceRows) -> ReferenceRows | None:
         """With others in some rows; None where these hold other names, shapes or types."""
-        if not self._is_like(others):
+        if not self._is_like(replacements):
             return None
-        after = {name: array.copy() for name, array in self.columns.items()}
-        for name, array in after.items():
-            array[rows] = others.columns[name]
-        return ReferenceRows(after)
+        columns = {name: array.copy() for name, array in self.columns.items()}
+        for name, array in columns.items():
+            array[rows] = replacements.columns[name]
+        return ReferenceRows(columns)
 
 
 def _kind(values: Any) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
@@ -139,4 +143,6 @@ def column(references: Sequence[Reference], name: str, missing: float | None = N
         return references.columns[name]
     if len(references) == 1 and name in references[0]:
         return np.asarray(references[0][name])[None]
-    return np.array([one[name] if missing is None else one.get(name, missing) for one in references])
+    return np.array(
+        [reference[name] if missing is None else reference.get(name, missing) for reference in references]
+    )

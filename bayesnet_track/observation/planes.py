@@ -35,8 +35,8 @@ def read_only(array: SharedArray) -> SharedArray:
         return array
     view: Any = array.view()
     view.flags.writeable = False
-    seen: SharedArray = view
-    return seen
+    shared: SharedArray = view
+    return shared
 
 
 def for_reading(array: NDArray[Any]) -> NDArray[Any]:
@@ -105,11 +105,11 @@ class StereoGeometry:
     def points_of_depth(self, depth_m: NDArray[np.float32], x0: int = 0, y0: int = 0) -> Points:
         """(rows, columns, 3) X, Y, Z in m of (rows, columns) depths in m."""
         rows, columns = depth_m.shape
-        across = ((np.arange(x0, x0 + columns) - self.centre_x_px) / self.focal_px).astype(np.float32)
-        down = ((np.arange(y0, y0 + rows) - self.centre_y_px) / self.focal_px).astype(np.float32)
+        ray_x = ((np.arange(x0, x0 + columns) - self.centre_x_px) / self.focal_px).astype(np.float32)
+        ray_y = ((np.arange(y0, y0 + rows) - self.centre_y_px) / self.focal_px).astype(np.float32)
         points = np.empty((rows, columns, 3), dtype=np.float32)
-        points[..., 0] = depth_m * across
-        points[..., 1] = depth_m * down[:, None]
+        points[..., 0] = depth_m * ray_x
+        points[..., 1] = depth_m * ray_y[:, None]
         points[..., 2] = depth_m
         return points
 
@@ -257,20 +257,20 @@ class Region:
             min(max(self.y1, 0), height),
         )
 
-    def union(self, other: Region) -> Region:
+    def union(self, region: Region) -> Region:
         """The smallest region that holds both."""
         if self.is_empty:
-            return other
-        if other.is_empty:
+            return region
+        if region.is_empty:
             return self
         return Region(
-            min(self.x0, other.x0), min(self.y0, other.y0), max(self.x1, other.x1), max(self.y1, other.y1)
+            min(self.x0, region.x0), min(self.y0, region.y0), max(self.x1, region.x1), max(self.y1, region.y1)
         )
 
-    def contains(self, other: Region) -> bool:
-        """True when every pixel of `other` is in this region."""
-        return other.is_empty or (
-            self.x0 <= other.x0 and self.y0 <= other.y0 and self.x1 >= other.x1 and self.y1 >= other.y1
+    def contains(self, region: Region) -> bool:
+        """True when every pixel of `region` is in this region."""
+        return region.is_empty or (
+            self.x0 <= region.x0 and self.y0 <= region.y0 and self.x1 >= region.x1 and self.y1 >= region.y1
         )
 
     def of(self, image: Array) -> Array:
@@ -282,10 +282,8 @@ def region_of_boxes(boxes: NDArray[np.float64], grow: float = 0.0) -> Region:
     """The smallest region that holds all centre boxes (N, 4), each grown by `grow` of its size per side."""
     if len(boxes) == 1:  # plain numbers, several times faster
         x, y, w, h = boxes[0].tolist()
-        across, down = w * (0.5 + grow), h * (0.5 + grow)
-        return Region(
-            _floor(x - across + 0.5), _floor(y - down + 0.5), _ceil(x + across + 0.5), _ceil(y + down + 0.5)
-        )
+        dx, dy = w * (0.5 + grow), h * (0.5 + grow)
+        return Region(_floor(x - dx + 0.5), _floor(y - dy + 0.5), _ceil(x + dx + 0.5), _ceil(y + dy + 0.5))
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.box_kernels import extent_of_boxes
 
@@ -323,16 +321,16 @@ class FramePair:
 
     @property
     def names(self) -> dict[str, float]:
-        """What names of expressions stand for that are the same of all states in the frame."""
-        frame, before = self.current, self.previous
-        earlier = {} if before is None else before.inputs
+        """Values of the names of expressions that are the same of all states in the frame."""
+        frame, previous = self.current, self.previous
+        earlier = {} if previous is None else previous.inputs
         return {
             "t": frame.time,
             **frame.inputs,
             **{f"{name}{BEFORE}": earlier.get(name, value) for name, value in frame.inputs.items()},
             "frame_width": float(frame.width),
             "frame_height": float(frame.height),
-            "dt": 1.0 if before is None else frame.time - before.time,
+            "dt": 1.0 if previous is None else frame.time - previous.time,
         }
 
 
@@ -411,28 +409,28 @@ class PlaneCache:
             self._of_cameras[camera] = None if pair is None else PlaneCache(pair)
         return self._of_cameras[camera]
 
-    def planes(self, wanted: Iterable[Plane], region: Region) -> Planes:
-        """The planes `wanted`, all on `region` cut to the frame."""
+    def planes(self, requested: Iterable[Plane], region: Region) -> Planes:
+        """The planes `requested`, all on `region` cut to the frame."""
         frame = self.frames.current
-        inside = region.within(frame)
-        return Planes(frame, inside, {plane: self._on(plane, inside) for plane in wanted})
+        covered = region.within(frame)
+        return Planes(frame, covered, {plane: self._on(plane, covered) for plane in requested})
 
     def _on(self, plane: Plane, region: Region) -> Array:
         with self._locks.setdefault(plane, Lock()):
             return self._found_or_made(plane, region)
 
     def _found_or_made(self, plane: Plane, region: Region) -> Array:
-        held = self._held.setdefault(plane, [])
-        for covered, values in held:
+        entries = self._held.setdefault(plane, [])
+        for covered, values in entries:
             if covered.contains(region):
                 return values if plane.is_points else _cut(values, covered, region)
-        made = self._to_make(plane, region)
-        inputs = tuple(self._on(p, made) for p in plane.inputs)
-        values = read_only(plane.compute(self.frames, inputs, made))
-        if made is self._whole:
-            held.clear()
-        held.append((made, values))
-        return values if plane.is_points else _cut(values, made, region)
+        computed = self._to_make(plane, region)
+        inputs = tuple(self._on(p, computed) for p in plane.inputs)
+        values = read_only(plane.compute(self.frames, inputs, computed))
+        if computed is self._whole:
+            entries.clear()
+        entries.append((computed, values))
+        return values if plane.is_points else _cut(values, computed, region)
 
     def _to_make(self, plane: Plane, region: Region) -> Region:
         """The region on which the plane is computed when it is asked for on `region`."""

@@ -74,22 +74,22 @@ def installed(
     package whose declaration cannot be loaded is left out with a warning that calls it a `word`: it must not
     keep the others from working.
     """
-    found: dict[str, Declaration] = dict(_built_in(group, kind, word))
-    for name in sorted({*named} & _allowed - {*found}):
-        if len(_others(group).get(name, ())) == 1:
+    declarations: dict[str, Declaration] = dict(_built_in(group, kind, word))
+    for name in sorted({*named} & _allowed - {*declarations}):
+        if len(_foreign_points(group).get(name, ())) == 1:
             _load(group, kind, word, name)
-    found |= _taken.get(group, {}) | _given.get(group, {})
-    return dict(sorted(found.items()))
+    declarations |= _taken.get(group, {}) | _given.get(group, {})
+    return dict(sorted(declarations.items()))
 
 
 def others(group: str) -> dict[str, str]:
     """Name -> package of what other packages declare in the group; nothing is loaded."""
-    return {name: ", ".join(_package(p) for p in points) for name, points in _others(group).items()}
+    return {name: ", ".join(_package(p) for p in points) for name, points in _foreign_points(group).items()}
 
 
 def why_absent(group: str, name: str) -> tuple[str, str] | None:
     """Reason why a plug-in of another package is absent, and its remedy; None if no package has it."""
-    points = _others(group).get(name, ())
+    points = _foreign_points(group).get(name, ())
     if not points:
         return None
     if len(points) > 1:
@@ -108,13 +108,13 @@ def _points(group: str) -> tuple[EntryPoint, ...]:
     return tuple(sorted(entry_points(group=group), key=lambda point: (point.name, point.value)))
 
 
-def _others(group: str) -> dict[str, tuple[EntryPoint, ...]]:
-    own = {point.name for point in _points(group) if _package(point) == OWN_PACKAGE}
-    found: dict[str, tuple[EntryPoint, ...]] = {}
+def _foreign_points(group: str) -> dict[str, tuple[EntryPoint, ...]]:
+    own_names = {point.name for point in _points(group) if _package(point) == OWN_PACKAGE}
+    points: dict[str, tuple[EntryPoint, ...]] = {}
     for point in _points(group):
-        if point.name not in own:
-            found[point.name] = (*found.get(point.name, ()), point)
-    return found
+        if point.name not in own_names:
+            points[point.name] = (*points.get(point.name, ()), point)
+    return points
 
 
 def _package(point: EntryPoint) -> str:
@@ -126,12 +126,12 @@ def _package(point: EntryPoint) -> str:
 def _built_in(group: str, kind: type[Declaration], word: str) -> Mapping[str, Declaration]:
     points = [point for point in _points(group) if _package(point) == OWN_PACKAGE]
     loaded = {point.name: _loaded(point, kind, word) for point in points}
-    return {name: one for name, one in loaded.items() if one is not None}
+    return {name: declaration for name, declaration in loaded.items() if declaration is not None}
 
 
 @cache
 def _load(group: str, kind: type[Declaration], word: str, name: str) -> None:
-    declaration = _loaded(_others(group)[name][0], kind, word)
+    declaration = _loaded(_foreign_points(group)[name][0], kind, word)
     if declaration is not None:
         _taken.setdefault(group, {})[name] = declaration
 

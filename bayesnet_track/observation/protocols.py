@@ -212,14 +212,14 @@ class Errors:
     def in_mode(self, number: int) -> Errors:
         """The same of states that are in a mode of this number and do not say so."""
 
-        def function(states: Mapping[str, Floats], away: Floats) -> Floats:
-            return self.function(_with_mode(states, number), away)
+        def function(states: Mapping[str, Floats], errors: Floats) -> Floats:
+            return self.function(_with_mode(states, number), errors)
 
         return Errors(function, self.is_normal, self.power)
 
-    def log_density(self, states: Mapping[str, Floats], away: Floats) -> Floats:
+    def log_density(self, states: Mapping[str, Floats], errors: Floats) -> Floats:
         """(N, K) log densities of errors (N, K); -inf where there is no distribution."""
-        log = self.power * self.function(states, away)
+        log = self.power * self.function(states, errors)
         return np.where(np.isnan(log), -np.inf, log)
 
 
@@ -265,15 +265,15 @@ class Measurement:
         if self.seen is None:
             return self
         errors = None if self.errors is None else self.errors.in_mode(number)
-        choices = tuple((weight, one.in_mode(number)) for weight, one in self.choices)
+        choices = tuple((weight, measurement.in_mode(number)) for weight, measurement in self.choices)
         return replace(self, seen=self.seen.in_mode(number), errors=errors, choices=choices)
 
     def log_by_errors(self, states: Mapping[str, Floats]) -> Floats:
         """(N,) log-likelihood of states, state field -> (N,), by `errors`, mixed with the floor."""
         assert self.errors is not None and self.seen is not None
-        away = self.seen.less(self.seen.function(states), self.mean)
-        log = self.errors.log_density(states, away).sum(axis=1)
-        peak = self.errors.log_density(states, np.zeros_like(away)).sum(axis=1)
+        errors = self.seen.less(self.seen.function(states), self.mean)
+        log = self.errors.log_density(states, errors).sum(axis=1)
+        peak = self.errors.log_density(states, np.zeros_like(errors)).sum(axis=1)
         exists = np.isfinite(peak)
         relative = np.where(exists, log, -np.inf) - np.where(exists, peak, 0.0)
         if self.floor > 0:
@@ -282,11 +282,11 @@ class Measurement:
 
     @property
     def log_constant(self) -> float:
-        """What the log-likelihood lacks to be the log density of what was measured: -log|2 pi R| / 2."""
+        """Difference of the log density of what was measured and the log-likelihood: -log|2 pi R| / 2."""
         if self.log_peak is not None:
             return self.log_peak
         if self.variances is not None:
-            return -0.5 * sum(math.log(2.0 * math.pi * one) for one in self.variances)
+            return -0.5 * sum(math.log(2.0 * math.pi * variance) for variance in self.variances)
         return -0.5 * float(np.linalg.slogdet(2.0 * np.pi * self.covariance)[1])
 
     @property
@@ -297,9 +297,9 @@ class Measurement:
     @cached_property
     def variances(self) -> tuple[float, ...] | None:
         """(K,) those of the errors where they are independent; None where they are not."""
-        own = self.covariance.diagonal()
-        apart = np.count_nonzero(self.covariance) == np.count_nonzero(own)
-        return tuple(own.tolist()) if apart else None
+        variances = self.covariance.diagonal()
+        independent = np.count_nonzero(self.covariance) == np.count_nonzero(variances)
+        return tuple(variances.tolist()) if independent else None
 
 
 @runtime_checkable

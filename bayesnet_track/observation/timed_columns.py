@@ -59,8 +59,8 @@ class TimedColumns:
         """
         place = float(frame) if self.key == "frame" else time_s
         if not math.isfinite(place):
-            found = f"goes by time_s, and frame {frame} has no time"
-            raise ColumnsError(f"{self.path}: {found}; allowed: a column frame instead")
+            fault = f"goes by time_s, and frame {frame} has no time"
+            raise ColumnsError(f"{self.path}: {fault}; allowed: a column frame instead")
         values = self.columns[name]
         if between == "linear":
             return float(np.interp(place, self.at, values))
@@ -74,21 +74,24 @@ class TimedColumns:
 
         Of a file by `time_s` only where the frames' interval is known.
         """
-        first, last = float(frames.start), float(frames[-1]) if frames and frames.stop < maxsize else math.nan
+        first, final = (
+            float(frames.start),
+            float(frames[-1]) if frames and frames.stop < maxsize else math.nan,
+        )
         if self.key == "time_s":
-            first, last = first * seconds_per_frame, last * seconds_per_frame
+            first, final = first * seconds_per_frame, final * seconds_per_frame
         if first < self.at[0]:
             yield f"{self.path}: no row before {self.key} {self.at[0]:g}; its values hold from {first:g} on"
-        if last > self.at[-1]:
-            yield f"{self.path}: no row after {self.key} {self.at[-1]:g}; its values hold until {last:g}"
+        if final > self.at[-1]:
+            yield f"{self.path}: no row after {self.key} {self.at[-1]:g}; its values hold until {final:g}"
         steps = np.diff(self.at)
         if len(steps):
-            row, usual = int(np.argmax(steps)), float(np.median(steps))
-            if steps[row] > LARGE_GAP * usual:
+            row, median_step = int(np.argmax(steps)), float(np.median(steps))
+            if steps[row] > LARGE_GAP * median_step:
                 ends = f"{self.at[row]:g} and {self.at[row + 1]:g}"
                 yield (
                     f"{self.path}: no row between {self.key} {ends}, where values are bridged; rows are "
-                    f"usually {usual:g} apart"
+                    f"usually {median_step:g} apart"
                 )
 
 
@@ -121,8 +124,10 @@ def values_at(
     Raises:
         ColumnsError: a file goes by time, and a frame has none.
     """
-    now = {name: one.value(frames[0], times_s[0]) for name, one in inputs.items()}
-    return now | {f"{name}{BEFORE}": one.value(frames[1], times_s[1]) for name, one in inputs.items()}
+    values = {name: timed_input.value(frames[0], times_s[0]) for name, timed_input in inputs.items()}
+    return values | {
+        f"{name}{BEFORE}": timed_input.value(frames[1], times_s[1]) for name, timed_input in inputs.items()
+    }
 
 
 def read_timed_columns(path: str, names: Sequence[str]) -> TimedColumns:
@@ -146,20 +151,20 @@ def read_timed_columns(path: str, names: Sequence[str]) -> TimedColumns:
         raise ColumnsError(f"{path}: no row below the header; allowed: one or more")
     places = {name: header.index(name) for name in (key, *names)}
     values = {
-        name: np.array([_number(path, line, name, row, at) for line, row in rows])
-        for name, at in places.items()
+        name: np.array([_number(path, line, name, row, index) for line, row in rows])
+        for name, index in places.items()
     }
-    at = values.pop(key)
-    if key == "frame" and ((at < 0) | (at != np.floor(at))).any():
-        wrong = int(np.argmax((at < 0) | (at != np.floor(at))))
-        raise ColumnsError(f"{path}:{rows[wrong][0]}: frame {at[wrong]:g}; a whole number from 0 on")
-    if (np.diff(at) <= 0).any():
-        wrong = int(np.argmax(np.diff(at) <= 0)) + 1
-        found = f"{key} {at[wrong]:g} after {at[wrong - 1]:g}"
+    key_values = values.pop(key)
+    if key == "frame" and ((key_values < 0) | (key_values != np.floor(key_values))).any():
+        wrong = int(np.argmax((key_values < 0) | (key_values != np.floor(key_values))))
+        raise ColumnsError(f"{path}:{rows[wrong][0]}: frame {key_values[wrong]:g}; a whole number from 0 on")
+    if (np.diff(key_values) <= 0).any():
+        wrong = int(np.argmax(np.diff(key_values) <= 0)) + 1
+        fault = f"{key} {key_values[wrong]:g} after {key_values[wrong - 1]:g}"
         raise ColumnsError(
-            f"{path}:{rows[wrong][0]}: {found}; allowed: rows in rising order, one for each {key}"
+            f"{path}:{rows[wrong][0]}: {fault}; allowed: rows in rising order, one for each {key}"
         )
-    return TimedColumns(path, key, at, values)
+    return TimedColumns(path, key, key_values, values)
 
 
 def _rows(path: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -177,8 +182,8 @@ def _rows(path: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
     return header, [(number, row) for number, row in enumerate(lines[1:], 2) if any(map(str.strip, row))]
 
 
-def _number(path: str, line: int, name: str, row: Sequence[str], at: int) -> float:
-    cell = row[at].strip() if at < len(row) else ""
+def _number(path: str, line: int, name: str, row: Sequence[str], index: int) -> float:
+    cell = row[index].strip() if index < len(row) else ""
     try:
         value = float(cell)
     except ValueError:

@@ -50,7 +50,7 @@ def names_boxes(path: str | Path) -> bool:
     """True of a CSV file without a header, or with one that names boxes in full, not by `x`, `y`, `w`, `h`:
     those can be what a sensor measures."""
     words = {plain(word) for word in re.split("[,;\t]", read_text(path).partition("\n")[0])}
-    named = {what for what in SIDES if words & {name for name in NAMES[what] if len(name) > 1}}
+    named = {side for side in SIDES if words & {name for name in NAMES[side] if len(name) > 1}}
     is_header = any(word[:1].isalpha() for word in words)
     return named >= set(SIDES[:4]) or named >= {*SIDES[:2], *SIDES[4:]} or not is_header
 
@@ -69,10 +69,12 @@ class BoxReader:
     is_live = False
 
     def __init__(self, text: str, of_camera: tuple[int, int] | None = None) -> None:
-        found = parse_detections(read_text(text), text)
-        if not found:
+        detections = parse_detections(read_text(text), text)
+        if not detections:
             raise ValueError(f"{text}: no box that can be used, so nothing says which frames there are")
-        corners = corner_from_centre(np.concatenate([one.boxes for one in found.values()]))
+        corners = corner_from_centre(
+            np.concatenate([frame_detections.boxes for frame_detections in detections.values()])
+        )
         sides = np.ceil((corners[:, :2] + corners[:, 2:]).max(axis=0))
         if not (sides <= MOST_PX).all():
             raise ValueError(
@@ -81,7 +83,7 @@ class BoxReader:
         size = _described(Path(text))
         if size is None:
             width, height = of_camera or (max(int(side), 1) for side in sides)
-            size = _Sequence(width, height, ASSUMED_RATE, max(found) + 1)
+            size = _Sequence(width, height, ASSUMED_RATE, max(detections) + 1)
             why = "which holds all boxes" if of_camera is None else "as the camera is calibrated"
             notice(
                 f"{text}: no images; frames are taken as {width} x {height} px, {why}, and "
@@ -90,7 +92,7 @@ class BoxReader:
             )
         self._size = size
         self.frame_interval_s = 1.0 / size.rate
-        self.declared_frames: int | None = max(size.frames, max(found) + 1)
+        self.declared_frames: int | None = max(size.frames, max(detections) + 1)
 
     def __iter__(self) -> Iterator[Picture]:
         image = np.zeros((self._size.height, self._size.width, 3), np.uint8)
@@ -180,7 +182,7 @@ class FileDetector:
         return {}
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
-        """What the file holds of the current frame, matched by its index."""
+        """Detections of the current frame in the file, matched by its index."""
         return self.found.get(frames.current.index, NOTHING), state
 
 
@@ -235,7 +237,7 @@ def _of_json_lines(text: str, name: str) -> Iterable[tuple[int, Found]]:
 
 
 def _usable(rows: list[tuple[int, int, Found]], name: str) -> Iterable[tuple[int, Found]]:
-    """What can be used of (line, frame, detection); what cannot is said."""
+    """The usable ones of (line, frame, detection); a notice names the others."""
     boxes = np.array([box for _, _, (box, _, _) in rows]).reshape(-1, 4)
     keep = usable(boxes).tolist()
     if not all(keep):
@@ -301,22 +303,22 @@ def _object(line: str, place: str) -> tuple[int, list[Any]]:
     except (ValueError, KeyError, TypeError, RecursionError):
         raise ValueError(f"{place}: expected an object with frame and detections") from None
     if not _is_whole(frame) or frame < 0:
-        raise ValueError(f"{place}: frame {_shown(frame)}; expected a whole number from 0 on")
+        raise ValueError(f"{place}: frame {_excerpt(frame)}; expected a whole number from 0 on")
     if not isinstance(detections, list):
-        raise ValueError(f"{place}: detections {_shown(detections)}; expected a list")
+        raise ValueError(f"{place}: detections {_excerpt(detections)}; expected a list")
     return frame, detections
 
 
 def _detection(entry: Any, place: str) -> Found:
     if not isinstance(entry, dict) or "box" not in entry:
-        raise ValueError(f"{place}: {_shown(entry)}; expected an object with box, score, label")
+        raise ValueError(f"{place}: {_excerpt(entry)}; expected an object with box, score, label")
     box, score, label = entry["box"], entry.get("score", 1.0), entry.get("label", "")
     if not isinstance(box, list) or len(box) != 4 or not all(map(_is_number, box)):
-        raise ValueError(f"{place}: box {_shown(box)}; expected [left, top, width, height]")
+        raise ValueError(f"{place}: box {_excerpt(box)}; expected [left, top, width, height]")
     if not _is_finite(score) or not 0 <= score <= 1:
-        raise ValueError(f"{place}: score {_shown(score)}; expected a number from 0 to 1")
+        raise ValueError(f"{place}: score {_excerpt(score)}; expected a number from 0 to 1")
     if not isinstance(label, str):
-        raise ValueError(f"{place}: label {_shown(label)}; expected a text")
+        raise ValueError(f"{place}: label {_excerpt(label)}; expected a text")
     return np.array([_as_float(value) for value in box]), float(score), label
 
 
@@ -340,5 +342,5 @@ def _is_finite(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
 
 
-def _shown(value: Any) -> str:
+def _excerpt(value: Any) -> str:
     return json.dumps(value)[:60]

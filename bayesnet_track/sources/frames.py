@@ -266,11 +266,11 @@ class Source:
 
     @property
     def expected_frames(self) -> int | None:
-        """How many frames lie between `start` and `end`; None when the source declares no number."""
+        """Number of frames between `start` and `end`; None when the source declares no number."""
         if self.declared_frames is None:
             return None if self._end is None else -(-(self._end - self._start) // self.stride)
-        last = self.declared_frames if self._end is None else min(self._end, self.declared_frames)
-        return max(-(-(last - self._start) // self.stride), 0)
+        stop = self.declared_frames if self._end is None else min(self._end, self.declared_frames)
+        return max(-(-(stop - self._start) // self.stride), 0)
 
     @property
     def numbers(self) -> range:
@@ -308,11 +308,13 @@ class Source:
             if isinstance(item, Frame):
                 return item
         reasons = list(dict.fromkeys(i.reason for i in self._ahead if isinstance(i, SourceDamaged)))
-        said = reasons[0] + (f"; and {len(reasons) - 1} more" if len(reasons) > 1 else "") if reasons else ""
+        reason_text = (
+            reasons[0] + (f"; and {len(reasons) - 1} more" if len(reasons) > 1 else "") if reasons else ""
+        )
         window = f" from frame {self._start} on" if self._start else ""
         raise SourceError(
             self.description,
-            f"no frame can be read{window}" + (f" ({said})" if said else ""),
+            f"no frame can be read{window}" + (f" ({reason_text})" if reason_text else ""),
             "a source with at least one readable frame"
             + ("" if self.declared_frames is None else f"; this one declares {self.declared_frames} frames"),
             "check that the file is whole, or choose an earlier start"
@@ -321,21 +323,21 @@ class Source:
         )
 
     def _read(self) -> Any:
-        last = self._start - 1
+        last_index = self._start - 1
         for item in self._read_frames():
-            last = item.index if isinstance(item, Frame) else last
+            last_index = item.index if isinstance(item, Frame) else last_index
             yield item
-        changed = changed_since(self._stamps)
-        if changed:
-            names = few([path.name for path in changed])
-            yield self._report_damage(last + 1, f"changed while it was read: {names}")
+        changed_files = changed_since(self._stamps)
+        if changed_files:
+            names = few([path.name for path in changed_files])
+            yield self._report_damage(last_index + 1, f"changed while it was read: {names}")
 
     def _read_frames(self) -> Any:
         first: Frame | None = None
-        last: Frame | None = None
+        previous: Frame | None = None
         shape: tuple[int, int, bool] | None = None
         for item in self._reader:
-            if self._end is not None and item.index >= self._end and last is not None:
+            if self._end is not None and item.index >= self._end and previous is not None:
                 return
             if isinstance(item, Damage):
                 if item.index >= self._start:
@@ -349,10 +351,10 @@ class Source:
             if isinstance(item, Stalled):
                 yield SourceStalled(item.index, item.seconds, hide_secrets(item.reason), item.attempt)
                 continue
-            if last is not None and not item.time > last.time:
+            if previous is not None and not item.time > previous.time:
                 yield self._report_damage(
                     item.index,
-                    f"time runs backwards or stands still: {item.time_s:.6f} s after {last.time_s:.6f} s",
+                    f"time runs backwards or stands still: {item.time_s:.6f} s after {previous.time_s:.6f} s",
                 )
                 return
             try:
@@ -362,22 +364,24 @@ class Source:
                 continue
             # Pictures that were dropped are not missing: the steps between all that came count.
             steps = item.skipped + 1
-            if last is not None and item.time - last.time >= steps * self._reader.gap_from:
-                yield FramesMissing(item.index, item.time - last.time - steps)
-            now = (frame.width, frame.height, frame.has_color)
-            if shape is not None and now != shape:
+            if previous is not None and item.time - previous.time >= steps * self._reader.gap_from:
+                yield FramesMissing(item.index, item.time - previous.time - steps)
+            frame_shape = (frame.width, frame.height, frame.has_color)
+            if shape is not None and frame_shape != shape:
                 # Depth cannot be brought to another size: its geometry is that of the pixels.
-                action = "stop" if frame.depth is not None and now[:2] != shape[:2] else self._on_resize
-                yield FrameSizeChanged(item.index, now[0], now[1], action)
+                action = (
+                    "stop" if frame.depth is not None and frame_shape[:2] != shape[:2] else self._on_resize
+                )
+                yield FrameSizeChanged(item.index, frame_shape[0], frame_shape[1], action)
                 if action == "stop":
                     self.end_reason = "frame_size_changed"
                     return
-            shape = now
-            if first is not None and now[:2] != (first.width, first.height):
+            shape = frame_shape
+            if first is not None and frame_shape[:2] != (first.width, first.height):
                 frame = replace(frame, image=_resize(frame.image, first.width, first.height))
-            last = frame
-            first = first or last
-            yield last
+            previous = frame
+            first = first or previous
+            yield previous
             if self._end is not None and item.index + 1 >= self._end:
                 return
 
@@ -401,17 +405,17 @@ class Source:
 
 def _gathered(items: Iterable[SourceItem]) -> Generator[SourceItem]:
     """The items; damage of one reason between two frames is one event, with how often and up to where."""
-    held: dict[str, SourceDamaged] = {}
+    pending: dict[str, SourceDamaged] = {}
     for item in items:
         if isinstance(item, SourceDamaged):
-            first = held.get(item.reason)
+            first = pending.get(item.reason)
             repeated = first and replace(first, times=first.times + 1, last=item.frame)
-            held[item.reason] = repeated or item
+            pending[item.reason] = repeated or item
             continue
-        yield from held.values()
-        held.clear()
+        yield from pending.values()
+        pending.clear()
         yield item
-    yield from held.values()
+    yield from pending.values()
 
 
 def _resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:

@@ -45,7 +45,7 @@ class Stack(Protocol):
 
     @property
     def times(self) -> list[float]:
-        """When each is shown, in intervals from 0."""
+        """Time of each, in intervals from 0."""
 
     @property
     def interval_s(self) -> float:
@@ -359,8 +359,8 @@ def times_of(paths: Sequence[Path]) -> list[float]:
     ):
         return plain
     numbers = [int(m.group(2)) for m in named if m]
-    steps = [after - before for before, after in pairwise(numbers)]
+    steps = [later - earlier for earlier, later in pairwise(numbers)]
     if len(numbers) != len(paths) or not steps or min(steps) <= 0:
         return plain
-    usual = sorted(steps)[(len(steps) - 1) // 2]
-    return [(number - numbers[0]) / usual for number in numbers]
+    median_step = sorted(steps)[(len(steps) - 1) // 2]
+    return [(number - numbers[0]) / median_step for number in numbers]

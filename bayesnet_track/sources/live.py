@@ -113,9 +113,9 @@ class LiveReader:
 
     def __iter__(self) -> Iterator[ReaderItem]:
         began: float | None = None
-        last = time.monotonic()
+        last_moment = time.monotonic()
         index = attempts = 0
-        outdated, unreadable, said = _Drops(), _Drops(), ""
+        outdated, unreadable, reported = _Drops(), _Drops(), ""
         while not self._is_closed.is_set():
             patience = self._stall_s if self._listener.taken else self._connect_s
             arrived = self._listener.take(patience)
@@ -128,20 +128,20 @@ class LiveReader:
                 if count := unreadable.take_due(moment, arrived.unreadable):
                     yield Dropped(index, count, arrived.fault)
                 time_s = moment - began
-                given = _given(arrived.image)
-                yield Picture(index, time_s / self.frame_interval_s, time_s, given, skipped=skipped)
-                last, attempts, index, said = moment, 0, index + 1, ""
+                image = _getter_of(arrived.image)
+                yield Picture(index, time_s / self.frame_interval_s, time_s, image, skipped=skipped)
+                last_moment, attempts, index, reported = moment, 0, index + 1, ""
                 continue
-            waited = time.monotonic() - last
+            waited = time.monotonic() - last_moment
             reason = self._listener.ending(patience)
             self._listener.abandon()
             if waited >= self._give_up_s:
                 yield Damage(index, f"the source gave no picture for {waited:.0f} s: {reason}")
                 return
             attempts += 1
-            if reason != said:  # while it stays the same, a line for each attempt says nothing new
+            if reason != reported:  # while it stays the same, a line for each attempt says nothing new
                 yield Stalled(index, waited, reason, attempts)
-            said = reason
+            reported = reason
             if attempts > 1:
                 self._is_closed.wait(min(self._pause_s * 2.0 ** (attempts - 2), LONGEST_PAUSE_S))
             with self._connecting:
@@ -179,18 +179,18 @@ class _Listener:
 
     def measured_interval_s(self) -> float:
         """Seconds between the first pictures, at a whole rate from 2 a second on; these count as taken."""
-        until = time.monotonic() + RATE_S
+        deadline = time.monotonic() + RATE_S
         with self._news:
             for count in range(1, RATE_PICTURES + 1):
-                left = until - time.monotonic()
-                self._news.wait_for(lambda: len(self._moments) >= count or self._is_over, left)  # noqa: B023
-            steps = [after - before for before, after in pairwise(self._moments)]
+                remaining = deadline - time.monotonic()
+                self._news.wait_for(lambda: len(self._moments) >= count or self._is_over, remaining)  # noqa: B023
+            steps = [later - earlier for earlier, later in pairwise(self._moments)]
             self.taken, self._unreadable = max(self._came - 1, 0), 0
         rate = 1.0 / max(statistics.median(steps), 1e-3) if steps else DEFAULT_RATE
         return 1.0 / (round(rate) if rate >= 2.0 else rate)
 
     def ending(self, patience_s: float) -> str:
-        """Why no picture comes any more."""
+        """Reason that no picture comes any more."""
         fault = f": {self._fault}" if self._is_faulty else ""
         return self._reason or f"no picture for {patience_s:g} s{fault}"
 
@@ -257,7 +257,7 @@ class _Drops:
         self._unreported, self._due, self._every_s = 0, 0.0, TELL_S
 
     def take_due(self, moment: float, dropped: int) -> int:
-        """How many to report now; 0 when it is not the time, or there are none."""
+        """Number to report now; 0 when it is not the time, or there are none."""
         self._unreported += dropped
         if not self._unreported or moment < self._due:
             return 0
@@ -266,7 +266,7 @@ class _Drops:
         return count
 
 
-def _given(image: Image) -> Any:
+def _getter_of(image: Image) -> Any:
     return lambda: image
 
 
@@ -330,7 +330,7 @@ class FlowingReader(Reader, Protocol):
 
     @property
     def flow(self) -> Flow:
-        """How they come."""
+        """Flow of the pictures."""
 
 
 class Open(Protocol):
@@ -371,12 +371,12 @@ class Stream:
         raise OSError(reason)
 
     def _keep_pace(self, time_s: float) -> None:
-        now = time.monotonic()
-        ahead = MAX_AHEAD_S if self._zero is None else self._zero + time_s - now
-        if abs(ahead) < MAX_AHEAD_S:
-            self._is_cancelled.wait(max(ahead, 0.0))
+        clock_s = time.monotonic()
+        lead_s = MAX_AHEAD_S if self._zero is None else self._zero + time_s - clock_s
+        if abs(lead_s) < MAX_AHEAD_S:
+            self._is_cancelled.wait(max(lead_s, 0.0))
         else:
-            self._zero = now - time_s
+            self._zero = clock_s - time_s
 
     def cancel(self) -> None:
         """Wake the thread that reads, where it waits for the time of a picture."""

@@ -64,7 +64,7 @@ HEADERS = "frame,id,left,top,width,height,confidence,class, or x1,y1,x2,y2 for c
 
 @dataclass(frozen=True)
 class Layout:
-    """Where in a line what stands, by index from 0; None where nowhere.
+    """Columns of a line by index from 0; None for one that is not there.
 
     Attributes:
         columns: what -> index, by the keys of `NAMES`.
@@ -121,14 +121,14 @@ def layout_of(header: Line, name: str) -> Layout:
     """
     number, words = header
     names = [plain(word) for word in words]
-    twice = [one for k, one in enumerate(names) if one and one in names[:k]]
+    twice = [column_name for k, column_name in enumerate(names) if column_name and column_name in names[:k]]
     if twice:
         raise ValueError(f"{name}:{number}: the header names {twice[0]!r} twice")
     columns = {}
-    for what, known in NAMES.items():
-        at = next((names.index(one) for one in known if one in names), None)
-        if at is not None:
-            columns[what] = at
+    for quantity, aliases in NAMES.items():
+        column = next((names.index(column_name) for column_name in aliases if column_name in names), None)
+        if column is not None:
+            columns[quantity] = column
     missing = [
         " or ".join(pair)
         for pair in (("left",), ("top",), ("width", "right"), ("height", "bottom"))
@@ -146,7 +146,9 @@ def layout_of(header: Line, name: str) -> Layout:
         del columns["index"]
     is_own = {"time_s", "target", "status"} <= set(names)
     unused = (
-        one for k, one in enumerate(names) if one and k not in columns.values() and one not in SILENT | OWN
+        column_name
+        for k, column_name in enumerate(names)
+        if column_name and k not in columns.values() and column_name not in SILENT | OWN
     )
     first_frame = 0 if is_own or "index" in columns else 1
     return Layout(columns, first_frame, len(words), len(words), tuple(unused), rivals)
@@ -154,10 +156,10 @@ def layout_of(header: Line, name: str) -> Layout:
 
 def _rivals(names: Sequence[str]) -> Iterator[tuple[tuple[str, int], tuple[str, int]]]:
     """Each column that names a frame or an identity after the one that is read, beside that one."""
-    for what in ("frame", "id"):
-        read, *others = [one for one in NAMES[what] if one in names] or [""]
-        for other in others:
-            yield (read, names.index(read)), (other, names.index(other))
+    for quantity in ("frame", "id"):
+        read, *rivals = [alias for alias in NAMES[quantity] if alias in names] or [""]
+        for rival in rivals:
+            yield (read, names.index(read)), (rival, names.index(rival))
 
 
 def plain(word: str) -> str:
@@ -192,28 +194,34 @@ def corner_boxes(box: Floats, sizes: Floats, numbers: Sequence[int], name: str) 
     [[30.0, 40.0, 30.0, 40.0]]
     """
     spans = box[:, 2:] - box[:, :2]
-    found = np.column_stack([box[:, :2], spans])
+    boxes = np.column_stack([box[:, :2], spans])
     with np.errstate(invalid="ignore", over="ignore"):
-        held = usable(found) & np.all(sizes > 0, axis=1)
+        is_usable = usable(boxes) & np.all(sizes > 0, axis=1)
         is_box = np.all(np.abs(spans - sizes) <= ROUNDED_PX, axis=1)
         fits = np.all((box[:, 2:] <= REACH * sizes) & (box[:, :2] < sizes), axis=1)
-    if not held.any() or is_box[held].all():
-        return found
-    wrong = np.flatnonzero(held & ~is_box)
-    if fits[held].mean() < 0.9:
-        row = int(next((one for one in wrong if not fits[one]), wrong[0]))
+    if not is_usable.any() or is_box[is_usable].all():
+        return boxes
+    wrong = np.flatnonzero(is_usable & ~is_box)
+    if fits[is_usable].mean() < 0.9:
+        row = int(next((index for index in wrong if not fits[index]), wrong[0]))
         left, top, right, bottom = box[row]
         raise ValueError(
             f"{name}:{numbers[row]}: the columns fit two readings: corners ({left:g},{top:g} to "
             f"{right:g},{bottom:g}: {spans[row, 0]:g}x{spans[row, 1]:g} px), and left, top, width, height "
             f"({sizes[row, 0]:g}x{sizes[row, 1]:g} px); remove the columns of one of them"
         )
-    known = sorted({(w, h) for w, h in sizes[held].tolist()})
-    shown = f"{known[0][0]:g}x{known[0][1]:g} px" + (f" and {len(known) - 1} more" if known[1:] else "")
-    said = f"{name}: boxes are read by their corners; width and height are the size of the image ({shown})"
-    shares = bool((box[held] <= 1).all() and (box[held] >= 0).all() and (box[held] % 1 != 0).any())
-    notice(f"{said}, and corners, which are from 0 to 1, are multiplied by it" if shares else said)
-    return found * np.tile(sizes, 2) if shares else found
+    image_sizes = sorted({(w, h) for w, h in sizes[is_usable].tolist()})
+    size_text = f"{image_sizes[0][0]:g}x{image_sizes[0][1]:g} px" + (
+        f" and {len(image_sizes) - 1} more" if image_sizes[1:] else ""
+    )
+    message = (
+        f"{name}: boxes are read by their corners; width and height are the size of the image ({size_text})"
+    )
+    shares = bool(
+        (box[is_usable] <= 1).all() and (box[is_usable] >= 0).all() and (box[is_usable] % 1 != 0).any()
+    )
+    notice(f"{message}, and corners, which are from 0 to 1, are multiplied by it" if shares else message)
+    return boxes * np.tile(sizes, 2) if shares else boxes
 
 
 LARGE = 1 << 22
@@ -256,23 +264,23 @@ def read_plain_boxes(path: str | Path) -> PlainBoxes | None:
         return None
     with Path(path).open("rb") as file:
         count = sum(block.count(b"\n") for block in iter(lambda: file.read(_BLOCK), b""))
-        found = PlainBoxes(
+        boxes = PlainBoxes(
             np.empty(count, np.int32),
             np.empty(count, np.int32),
             np.empty((count, 4), np.float32),
             np.empty(count, np.float32),
         )
         file.seek(0)
-        start, last = 0, 0.0
+        start, last_frame = 0, 0.0
         for rows in _blocks(file):
-            if rows is None or not _is_plain(rows, last) or start + len(rows) > count:
+            if rows is None or not _is_plain(rows, last_frame) or start + len(rows) > count:
                 return None
-            end, last = start + len(rows), float(rows[-1, 0])
-            found.frames[start:end], found.ids[start:end] = rows[:, 0] - 1, rows[:, 1]
-            found.boxes[start:end], found.confidences[start:end] = rows[:, 2:6], rows[:, 6]
+            end, last_frame = start + len(rows), float(rows[-1, 0])
+            boxes.frames[start:end], boxes.ids[start:end] = rows[:, 0] - 1, rows[:, 1]
+            boxes.boxes[start:end], boxes.confidences[start:end] = rows[:, 2:6], rows[:, 6]
             start = end
-    is_ambiguous = (found.boxes.max(axis=0) <= 1).any() or are_corners(found.boxes[:MOST_LINES].astype(float))
-    return None if start < count or is_ambiguous or _has_twins(found) else found
+    is_ambiguous = (boxes.boxes.max(axis=0) <= 1).any() or are_corners(boxes.boxes[:MOST_LINES].astype(float))
+    return None if start < count or is_ambiguous or _has_twins(boxes) else boxes
 
 
 def _is_large(path: str | Path) -> bool:
@@ -296,25 +304,25 @@ def starts_plain(path: str | Path) -> bool:
     return rows is not None and _is_plain(rows, 0.0)
 
 
-def _has_twins(found: PlainBoxes) -> bool:
+def _has_twins(boxes: PlainBoxes) -> bool:
     """True if an identity is in a frame twice."""
-    keys = (found.frames.astype(np.int64) << 32) + found.ids
+    keys = (boxes.frames.astype(np.int64) << 32) + boxes.ids
     keys.sort()
     return bool((keys[1:] == keys[:-1]).any())
 
 
 def _blocks(file: BufferedReader) -> Iterator[Floats | None]:
     """(n, columns) the numbers of some lines; None where they are not plain."""
-    rest, width = b"", 0
+    remainder, width = b"", 0
     while block := file.read(_BLOCK):
-        whole, newline, tail = (rest + block).rpartition(b"\n")
-        rest = tail
+        complete, newline, tail = (remainder + block).rpartition(b"\n")
+        remainder = tail
         if not newline:
             continue
-        lines = whole.count(b"\n") + 1
-        width = width or whole.partition(b"\n")[0].count(b",") + 1
-        yield _numbers(whole, lines, width)
-    if rest:
+        lines = complete.count(b"\n") + 1
+        width = width or complete.partition(b"\n")[0].count(b",") + 1
+        yield _numbers(complete, lines, width)
+    if remainder:
         yield None
 
 
@@ -375,17 +383,17 @@ def _parse(text: NDArray[np.uint8], numbers: Floats) -> bool:
     return True
 
 
-def _is_plain(rows: Floats, last: float) -> bool:
+def _is_plain(rows: Floats, last_frame: float) -> bool:
     frames, ids = rows[:, 0], rows[:, 1]
-    others = rows[:, 7:]
+    extras = rows[:, 7:]
     return bool(
         np.isfinite(rows).all()
         and (rows[:, :2] % 1 == 0).all()
-        and last <= frames[0]
+        and last_frame <= frames[0]
         and (np.diff(frames) >= 0).all()
         and frames[0] >= 1
         and frames[-1] < _LARGEST
         and (np.abs(ids) < _LARGEST).all()
         and usable(rows[:, 2:6]).all()
-        and (others == -1).all()
+        and (extras == -1).all()
     )

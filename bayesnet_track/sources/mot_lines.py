@@ -52,8 +52,8 @@ PACKED = {
 
 
 def name_bytes(data: bytes) -> str:
-    """What a file that is no text is, in parentheses, by its first bytes; empty where that is not known."""
-    return next((f" ({what})" for start, what in PACKED.items() if data.startswith(start)), "")
+    """Kind of a file that is no text, in parentheses, by its first bytes; empty where that is not known."""
+    return next((f" ({kind})" for start, kind in PACKED.items() if data.startswith(start)), "")
 
 
 BOMS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
@@ -77,10 +77,10 @@ def read_text(path: str | Path) -> str:
     return text
 
 
-def whole(word: str) -> int | None:
+def exact_int(word: str) -> int | None:
     """A whole number of 64 bits, exactly: also 7.0 and 1e3; None for anything else.
 
-    >>> whole("9223372036854775807"), whole("7.0"), whole("7.5")
+    >>> exact_int("9223372036854775807"), exact_int("7.0"), exact_int("7.5")
     (9223372036854775807, 7, None)
     """
     if not word.isascii() or "_" in word:
@@ -110,7 +110,7 @@ NOT_COUNTED = "DontCare"
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """What stands in lines, unchecked.
+    """Content of lines, unchecked.
 
     Attributes:
         numbers: of the lines.
@@ -150,14 +150,14 @@ def read_plain(lines: Lines) -> Rows:
             raise explain_word(words, place, COLUMNS)
         if not LEAST <= len(row) <= MOST:
             raise ValueError(f"{place}: {len(row)} numbers; expected {LEAST} to {MOST} ({COLUMNS})")
-        for into, word, what in ((frames, words[0], "frame"), (ids, words[1], "id")):
+        for into, word, quantity in ((frames, words[0], "frame"), (ids, words[1], "id")):
             try:
                 into.append(int(word))
             except (ValueError, OverflowError):
-                found = whole(word)
-                into.append(0 if found is None else found)
-                if found is None:
-                    wrong.setdefault(len(numbers), f"{what} {word.strip()[:40]} is not a whole number")
+                parsed = exact_int(word)
+                into.append(0 if parsed is None else parsed)
+                if parsed is None:
+                    wrong.setdefault(len(numbers), f"{quantity} {word.strip()[:40]} is not a whole number")
         if len(row) > LEAST and not isfinite(row[LEAST]):
             odd.append(len(numbers))
         values.extend(row)
@@ -174,16 +174,18 @@ def _classes_of(rows: Floats) -> NDArray[np.str_]:
     """
     none = np.full(len(rows), "")
     column, visible, tenth = rows[:, 7], rows[:, 8], rows[:, 9]
-    given = ~np.isnan(column)
-    held = column[given]
-    is_class = len(held) and (held % 1 == 0).all() and (held >= -1).all() and (held < LARGEST).all()
+    is_given = ~np.isnan(column)
+    classes = column[is_given]
+    is_class = (
+        len(classes) and (classes % 1 == 0).all() and (classes >= -1).all() and (classes < LARGEST).all()
+    )
     ten = ~np.isnan(tenth)
     if not is_class or not (
         np.isin(tenth[ten], (-1, 0, 1, 2)).all() and np.isin(visible[ten], (-1, 0, 1)).all()
     ):
         return none
-    found, places = np.unique(np.where(given, column, -1), return_inverse=True)
-    return np.array([str(int(one)) if one >= 0 else "" for one in found])[places]
+    class_numbers, places = np.unique(np.where(is_given, column, -1), return_inverse=True)
+    return np.array([str(int(number)) if number >= 0 else "" for number in class_numbers])[places]
 
 
 def read_layout(lines: Lines, layout: Layout) -> Rows:
@@ -219,7 +221,7 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
         beside = [words[k].strip() for k in layout.sizes or ()]
         if not all(word == "" or is_number(word) for word in [*picked, *beside]):
             raise explain_word([word for word in [*picked, *beside] if word], place, ",".join(columns))
-        frame = whole(words[at_frame])
+        frame = exact_int(words[at_frame])
         if frame is None:
             wrong[len(numbers)] = f"frame {words[at_frame].strip()[:40]} is not a whole number"
         values.append([float(word or "nan") for word in picked])
@@ -253,32 +255,32 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
 
 def _check_rivals(layout: Layout, rows: Sequence[NumberedRow], name: str) -> None:
     """Raise ValueError where two columns say differently which frame or which target a row is of."""
-    for (read, at), (other, beside) in layout.rivals:
-        pairs = [(words[at].strip(), words[beside].strip()) for _, words in rows]
-        known = dict(pairs)
+    for (read, column), (rival, beside) in layout.rivals:
+        pairs = [(words[column].strip(), words[beside].strip()) for _, words in rows]
+        forward = dict(pairs)
         back = {second: first for first, second in pairs}
-        if len(known) != len(set(pairs)) or len(back) != len(set(pairs)):
+        if len(forward) != len(set(pairs)) or len(back) != len(set(pairs)):
             line = next(
                 number
                 for (number, _), (first, second) in zip(rows, pairs, strict=True)
-                if known[first] != second or back[second] != first
+                if forward[first] != second or back[second] != first
             )
             raise ValueError(
-                f"{name}:{line}: the header fits two readings: the columns {read!r} and {other!r} part the "
+                f"{name}:{line}: the header fits two readings: the columns {read!r} and {rival!r} part the "
                 "rows in different ways; remove the one that is not meant, or rename it"
             )
 
 
 def _class_name(word: str) -> str:
-    number = whole(word)
+    number = exact_int(word)
     return word if number is None else str(number) if number >= 0 else ""
 
 
 def _ids_of(words: Sequence[str]) -> list[int]:
     """The identities; those that are not all whole numbers are numbered as they come."""
-    found = [whole(word) for word in words]
-    if all(one is not None for one in found):
-        return [one for one in found if one is not None]
+    identities = [exact_int(word) for word in words]
+    if all(identity is not None for identity in identities):
+        return [identity for identity in identities if identity is not None]
     if not any(words):
         return [NO_ID] * len(words)
     numbers = {word: number for number, word in enumerate(dict.fromkeys(filter(None, words)), start=1)}
@@ -396,15 +398,15 @@ def _checked(read: Rows, name: str) -> MotLines:
             f"{name}: {len(odd)} of {total} boxes are left out, whose confidence is not finite: line "
             f"{few(numbers[odd].tolist())}"
         )
-    for row, what in sorted(read.wrong.items()):
+    for row, fault in sorted(read.wrong.items()):
         if keep[row]:
-            raise ValueError(f"{name}:{numbers[row]}: {what}")
+            raise ValueError(f"{name}:{numbers[row]}: {fault}")
     frames = np.array(read.frames, dtype=np.int64) - read.first_frame
     for place in np.flatnonzero(keep & ((frames < 0) | (frames >= LARGEST))).tolist():
         raise ValueError(f"{name}:{numbers[place]}: {_explain_frame(read.frames[place], read.first_frame)}")
     ids = np.array(read.ids, dtype=np.int64)
-    found = MotLines(name, numbers, frames, ids, boxes, read.values[:, 6:], read.classes)
-    return found if keep.all() else found.only(keep)
+    lines = MotLines(name, numbers, frames, ids, boxes, read.values[:, 6:], read.classes)
+    return lines if keep.all() else lines.only(keep)
 
 
 def _explain_frame(frame: int, first: int) -> str:

@@ -54,7 +54,7 @@ ENDS_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """What a part of a source held.
+    """Content of a part of a source.
 
     Attributes:
         files: how many files.
@@ -73,7 +73,7 @@ class Fingerprint:
 
 @dataclass(frozen=True)
 class Origin:
-    """How a source was opened; addresses are without their passwords.
+    """Arguments with which a source was opened; addresses are without their passwords.
 
     Attributes:
         kind: which of the ways: one eye, two (a source for the right one, or both in a picture), an eye with
@@ -127,7 +127,7 @@ class Origin:
 
     @property
     def only_once(self) -> str | None:
-        """Why the same frames cannot be read again; None where they can."""
+        """Reason that the same frames cannot be read again; None where they can."""
 
         if self.kind == "own":
             return f"its frames came from an object ({self.description}) that cannot be made again"
@@ -162,7 +162,7 @@ class Origin:
         return replace(self, absolute=absolute, fingerprint=self._fingerprints(absolute))
 
     def changes(self) -> tuple[str, ...]:
-        """What is not as it was when the source was opened, in words: "source: 1 file, ... now 1 file, ...".
+        """Differences from when the source was opened, in words: "source: 1 file, ... now 1 file, ...".
 
         Raises:
             OSError: a file cannot be read.
@@ -216,7 +216,7 @@ def _files(part: str, text: str) -> Sequence[Path]:
 
 
 def fingerprint(files: Sequence[Path]) -> Fingerprint:
-    """What the files hold, told from their names, sizes and samples of their bytes.
+    """Content of the files, told from their names, sizes and samples of their bytes.
 
     Raises:
         OSError: one cannot be read.

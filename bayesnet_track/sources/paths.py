@@ -24,7 +24,7 @@ def hide_secrets(text: str) -> str:
     >>> hide_secrets("no route to rtsp://admin:secret@10.0.0.7:554/live")
     'no route to rtsp://***@10.0.0.7:554/live'
     """
-    return _ADDRESS.sub(lambda found: shown_address(found.group()), text) if "://" in text else text
+    return _ADDRESS.sub(lambda match: shown_address(match.group()), text) if "://" in text else text
 
 
 def shown_address(text: str) -> str:
@@ -40,12 +40,12 @@ def shown_address(text: str) -> str:
     scheme = _ADDRESS_SCHEME.match(text)
     if scheme is None:
         return text
-    rest = text[scheme.end() :]
-    authority = re.split(r"[/?#]", rest, maxsplit=1)[0]
+    remainder = text[scheme.end() :]
+    authority = re.split(r"[/?#]", remainder, maxsplit=1)[0]
     # What is no host with a port begins with a user, whose password may hold the letters that end it.
     if _HOST_AND_PORT.fullmatch(authority) is None or "@" in authority:
-        rest = f"{HIDDEN}@{rest[rest.rfind('@') + 1 :]}" if "@" in rest else HIDDEN
-    return scheme.group() + _SECRET.sub(rf"\1{HIDDEN}", rest)
+        remainder = f"{HIDDEN}@{remainder[remainder.rfind('@') + 1 :]}" if "@" in remainder else HIDDEN
+    return scheme.group() + _SECRET.sub(rf"\1{HIDDEN}", remainder)
 
 
 class SourceError(ValueError):
@@ -58,9 +58,9 @@ class SourceError(ValueError):
         mend: what to do.
     """
 
-    def __init__(self, given: str, found: str, allowed: str, mend: str) -> None:
-        self.given, self.found, self.allowed, self.mend = shown_address(given), found, allowed, mend
-        super().__init__(f"source {self.given!r}: {found}; allowed: {allowed}; {mend}")
+    def __init__(self, source: str, fault: str, remedy: str, mend: str) -> None:
+        self.given, self.found, self.allowed, self.mend = shown_address(source), fault, remedy, mend
+        super().__init__(f"source {self.given!r}: {fault}; allowed: {remedy}; {mend}")
 
 
 _DIGITS = re.compile(r"(\d+)")
@@ -110,19 +110,19 @@ def depth_files(text: str) -> list[Path]:
     folder = Path(text)
     try:
         names = folder.iterdir() if folder.is_dir() else (Path(name) for name in glob.glob(text))  # noqa: PTH207
-        found = sorted(
+        files = sorted(
             (p for p in names if p.suffix.lower() in DEPTH_SUFFIXES and _keeps_number(p)), key=natural_key
         )
     except OSError as error:
         raise SourceError(text, f"{error.strerror}", "a folder or glob of depth files", "check it") from error
-    if not found:
+    if not files:
         raise SourceError(
             text,
             "no depth file there",
             f"a folder or glob of {' '.join(DEPTH_SUFFIXES)}",
             "give the folder that holds them",
         )
-    return found
+    return files
 
 
 KINDS = "a video file, a folder of images, a glob of images, a camera index such as 0, an http or rtsp URL"
@@ -197,13 +197,13 @@ def image_names(text: str, frames: int) -> tuple[str, ...]:
 
 
 def _matching(text: str) -> list[Path]:
-    found = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
-    images = [name for name in found if name.suffix.lower() in IMAGE_SUFFIXES and _keeps_number(name)]
+    matches = [Path(name) for name in glob.glob(text, recursive=True)]  # noqa: PTH207 (keeps absolute patterns)
+    images = [name for name in matches if name.suffix.lower() in IMAGE_SUFFIXES and _keeps_number(name)]
     if images:
         return images
     raise SourceError(
         text,
-        f"the pattern matches {len(found)} files, none of them an image",
+        f"the pattern matches {len(matches)} files, none of them an image",
         f"images ({' '.join(sorted(IMAGE_SUFFIXES))})",
         "quote the pattern so that the shell leaves it alone, and check it",
     )
@@ -212,9 +212,9 @@ def _matching(text: str) -> list[Path]:
 def _in_folder(text: str, folder: Path) -> list[Path]:
     for place in (folder, *(folder / name for name in SEQUENCE_FOLDERS)):
         if place.is_dir():
-            found = images_in(place)
-            if found:
-                return found
+            images = images_in(place)
+            if images:
+                return images
     raise SourceError(
         text,
         f"the folder holds no image ({sum(1 for _ in folder.iterdir())} entries)",
@@ -229,11 +229,11 @@ def _nearest(path: Path) -> str:
         return f"the folder {str(parent)!r} does not exist either"
     try:
         names = sorted(entry.name for entry in parent.iterdir())
-        near = difflib.get_close_matches(path.name, names, n=20, cutoff=0.5)
-        found = next((name for name in near if _could_be_read(parent / name)), None)
+        similar = difflib.get_close_matches(path.name, names, n=20, cutoff=0.5)
+        suggestion = next((name for name in similar if _could_be_read(parent / name)), None)
     except OSError:
         return "check the name"
-    return "check the name" if found is None else f"did you mean {str(parent / found)!r}?"
+    return "check the name" if suggestion is None else f"did you mean {str(parent / suggestion)!r}?"
 
 
 def _could_be_read(path: Path) -> bool:

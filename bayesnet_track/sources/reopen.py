@@ -32,12 +32,12 @@ def reopen(origin: Origin) -> Source | SceneSource | SeveralSources:
             origin.start,
             origin.end,
         )
-    at = origin.places()
+    places = origin.places()
     # What is read again are files, however they are named: a run directory is data and allows nothing.
     window = (origin.start, origin.end, False, origin.on_resize)
     if origin.kind == "plain":
         source = open_source(
-            at[origin.text],
+            places[origin.text],
             *window,
             origin.stride,
             value_range=origin.value_range,
@@ -45,12 +45,12 @@ def reopen(origin: Origin) -> Source | SceneSource | SeveralSources:
         )
     else:
         source = open_stereo_source(
-            at[origin.text],
+            places[origin.text],
             *window,
-            right=None if origin.right is None else at[origin.right],
-            depth=None if origin.depth is None else at[origin.depth],
+            right=None if origin.right is None else places[origin.right],
+            depth=None if origin.depth is None else places[origin.depth],
             side_by_side=origin.kind == "side_by_side",
-            calibration=None if origin.calibration is None else at[origin.calibration],
+            calibration=None if origin.calibration is None else places[origin.calibration],
             stride=origin.stride,
             value_range=origin.value_range,
         )

@@ -33,7 +33,7 @@ MOST_TURNS = 2.0
 
 @dataclass(frozen=True, eq=False)
 class SensorColumns:
-    """What a sensor measures.
+    """Quantities that a sensor measures, and their ranges.
 
     Attributes:
         quantities: names of its K columns.
@@ -70,7 +70,7 @@ class SensorColumns:
 
 @dataclass(frozen=True, eq=False)
 class ScanFile:
-    """What sensors saw by a file.
+    """Detections of sensors from a file.
 
     Attributes:
         found: number of a frame -> agent -> what it saw.
@@ -81,7 +81,7 @@ class ScanFile:
     by_time: bool = False
 
     def scans(self, frame: Frame) -> Mapping[str, Scan]:
-        """As `observation.detector.Scanner`."""
+        """Scans of a frame, as `observation.detector.Scanner`."""
         return self.found.get(frame.index, {})
 
 

@@ -154,7 +154,7 @@ class SeveralSources:
             notices: list[SourceItem] = []
             for head in heads.values():
                 notices += head.advance()
-            yield from (_at(item, step) for item in notices if step >= (self.start or 0))
+            yield from (_at_step(item, step) for item in notices if step >= (self.start or 0))
             waiting = {camera: head.frame for camera, head in heads.items() if head.frame is not None}
             if not waiting:
                 break
@@ -179,7 +179,7 @@ class SeveralSources:
                 last_frames = last_frames | together
                 self.frames += 1
         reasons = [source.end_reason for source in self.sources.values()]
-        self.end_reason = next((one for one in reasons if one != "end_of_source"), "end_of_source")
+        self.end_reason = next((reason for reason in reasons if reason != "end_of_source"), "end_of_source")
 
 
 @dataclass
@@ -191,7 +191,7 @@ class _Head:
     frame: Frame | None = None
 
     def advance(self) -> list[SourceItem]:
-        """What the source says before its next frame, which is then there."""
+        """Events of the source before its next frame, which is then there."""
         notices: list[SourceItem] = []
         while self.frame is None:
             item = next(self.items, None)
@@ -216,7 +216,7 @@ class _Head:
         return notices
 
 
-def _at(item: Any, step: int) -> SourceItem:
+def _at_step(item: Any, step: int) -> SourceItem:
     """An event of one source, at the number of a step."""
-    moved: SourceItem = replace(item, frame=step) if hasattr(item, "frame") else item
-    return moved
+    event: SourceItem = replace(item, frame=step) if hasattr(item, "frame") else item
+    return event

@@ -71,11 +71,11 @@ def open_source(
     value_range = _checked_values(text, value_range)
     reader = make_reader(text, allow_network, live, value_range, size)
     reader = strided(text, reader, start, stride)
-    shown = shown_address(text)
+    description = shown_address(text)
     origin = Origin(
         "plain",
         text,
-        shown,
+        description,
         start,
         end,
         on_resize,
@@ -84,7 +84,7 @@ def open_source(
         value_range=value_range,
         size=size,
     )
-    return Source(shown, reader, start, end, on_resize, origin)
+    return Source(description, reader, start, end, on_resize, origin)
 
 
 def check_range(text: str, start: int | None, end: int | None) -> None:

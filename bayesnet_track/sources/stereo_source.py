@@ -66,11 +66,11 @@ def open_stereo_source(
         SourceError: nothing can be read, or the eyes do not belong together.
         CalibrationError: the calibration file cannot be used.
     """
-    given = sum((right is not None, depth is not None, side_by_side))
-    if given != 1:
+    eye_count = sum((right is not None, depth is not None, side_by_side))
+    if eye_count != 1:
         right_eye, halves_of_one = setting("--right", "SOURCE"), setting("--stereo", "side_by_side", "True")
         ways = f"one of {right_eye}, {halves_of_one} and {setting('--depth', 'FOLDER')}"
-        raise SourceError(left, f"{given} second eyes are given", ways, "choose one")
+        raise SourceError(left, f"{eye_count} second eyes are given", ways, "choose one")
     check_range(left, start, end)
     rectifier = None if calibration is None else read_calibration(Path(calibration))
     if rectifier is None and depth is None:
@@ -80,19 +80,19 @@ def open_stereo_source(
             f"a pair with {setting('--calibration', 'FILE')} (OpenCV YAML)",
             "make one from chessboard pictures with `bayesnet-track calibrate stereo`",
         )
-    shown = shown_address(left)
+    address = shown_address(left)
     first = make_reader(left, allow_network, live, value_range)
     try:
         if side_by_side and rectifier is not None:
-            description, reader = f"{shown} (side by side)", Joined(left, first, partial(halves, rectifier))
+            description, reader = f"{address} (side by side)", Joined(left, first, partial(halves, rectifier))
         elif depth is not None:
-            description, paths = f"{shown} with depth {depth}", depth_files(depth)
+            description, paths = f"{address} with depth {depth}", depth_files(depth)
             _check_alike(first, paths, left, depth)
             rectified = rectifier if isinstance(rectifier, RectifiedPair) else None
             reader = Joined(left, first, partial(measured, paths, rectified))
         else:
             assert right is not None and rectifier is not None
-            description = f"{shown} + {shown_address(right)}"
+            description = f"{address} + {shown_address(right)}"
             second = make_reader(right, allow_network, live, value_range)
             if (files := _files(second)) is not None:
                 _check_alike(first, files.paths, left, right)
@@ -192,32 +192,32 @@ class Joined:
         while True:
             yield from left.advance()
             yield from right.advance()
-            one, other = left.picture, right.picture
-            if one is None or other is None:
-                ended, longer = (left, other) if one is None else (right, one)
+            left_picture, right_picture = left.picture, right.picture
+            if left_picture is None or right_picture is None:
+                ended, longer = (left, right_picture) if left_picture is None else (right, left_picture)
                 if longer is not None and not ended.is_truncated:
                     reason = f"the {ended.name} eye ends at frame {longer.index}, the other one goes on"
                     yield Damage(longer.index, reason, True)
                 return
-            if one.index != other.index:
-                early = left if one.index < other.index else right
+            if left_picture.index != right_picture.index:
+                early = left if left_picture.index < right_picture.index else right
                 assert early.picture is not None
                 yield Damage(early.picture.index, f"only the {early.name} eye has a picture")
                 early.picture = None
                 continue
-            if has_clock and abs(one.time - other.time) > OUT_OF_STEP:
-                times = f"left at {one.time_s:.3f} s, right at {other.time_s:.3f} s"
-                yield Damage(one.index, f"the eyes are out of step: {times}")
+            if has_clock and abs(left_picture.time - right_picture.time) > OUT_OF_STEP:
+                times = f"left at {left_picture.time_s:.3f} s, right at {right_picture.time_s:.3f} s"
+                yield Damage(left_picture.index, f"the eyes are out of step: {times}")
                 return
             left.picture = right.picture = None
-            yield self._completed(one, other)
+            yield self._completed(left_picture, right_picture)
 
     def _completed(self, picture: Picture, second: Picture | None) -> Picture:
         return replace(picture, complete=partial(self._complete, picture.index, second))
 
     def _complete(self, index: int, second: Picture | None, image: Image) -> Completed:
         try:
-            done = self._completer(index, second, image)
+            completed = self._completer(index, second, image)
         except PictureError as error:
             if self._has_begun:
                 raise
@@ -228,7 +228,7 @@ class Joined:
                 "check that they belong together",
             ) from error
         self._has_begun = True
-        return done
+        return completed
 
 
 class _Eye:
@@ -261,8 +261,8 @@ def _rectify(rectifier: Rectifier, left: Image, right: Image) -> Completed:
         raise PictureError(
             f"the pictures are {_size(left)}, the calibration is for {rectifier.width}x{rectifier.height}"
         )
-    one, other = rectifier.rectify(left, right)
-    return one, RightEye(other, rectifier.geometry)
+    left_image, right_image = rectifier.rectify(left, right)
+    return left_image, RightEye(right_image, rectifier.geometry)
 
 
 def _size(image: NDArray[np.generic]) -> str:
@@ -271,19 +271,19 @@ def _size(image: NDArray[np.generic]) -> str:
 
 def _check_alike(first: Reader, paths: Sequence[Path], left: str, right: str) -> None:
     """Refuse image files of which one has no partner."""
-    own = _files(first)
-    if own is None:
+    left_files = _files(first)
+    if left_files is None:
         return
     times = times_of(paths)
-    matched: Callable[[int], bool] = lambda n: abs(own.times[n] - times[n]) <= OUT_OF_STEP  # noqa: E731
-    shorter = min(len(times), len(own.times))
+    matched: Callable[[int], bool] = lambda n: abs(left_files.times[n] - times[n]) <= OUT_OF_STEP  # noqa: E731
+    shorter = min(len(times), len(left_files.times))
     lone = next((n for n in range(shorter) if not matched(n)), shorter)
-    if lone == shorter and len(times) == len(own.times):
+    if lone == shorter and len(times) == len(left_files.times):
         return
-    names = [str(files[lone].name) if lone < len(files) else "none" for files in (own.paths, paths)]
+    names = [str(files[lone].name) if lone < len(files) else "none" for files in (left_files.paths, paths)]
     raise SourceError(
         f"{left} + {right}",
-        f"{len(own.paths)} and {len(paths)} files, and frame {lone} has no partner "
+        f"{len(left_files.paths)} and {len(paths)} files, and frame {lone} has no partner "
         f"(left {names[0]}, right {names[1]})",
         "as many files on either side, with the same numbers",
         "take out what has no partner",

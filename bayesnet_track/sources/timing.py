@@ -19,7 +19,7 @@ _MAX_SNAP = 0.25
 
 @dataclass(frozen=True)
 class Timing:
-    """How the time stamps of a stream become times in nominal frame intervals.
+    """Conversion of a stream's time stamps to times in nominal frame intervals.
 
     Attributes:
         tick: seconds of one unit of a time stamp (the stream's time base).
@@ -47,17 +47,17 @@ class Timing:
         2.0
         """
         exact = ticks * self.tick / self.interval
-        whole = round(exact)
+        nearest = round(exact)
         return (
-            float(whole)
-            if abs(exact - whole) <= min(float(self.tick / self.interval), _MAX_SNAP)
+            float(nearest)
+            if abs(exact - nearest) <= min(float(self.tick / self.interval), _MAX_SNAP)
             else float(exact)
         )
 
 
 @dataclass(frozen=True)
 class Declared:
-    """What a container says of its length.
+    """Length that a container declares.
 
     Attributes:
         frames: number of frames, or None.
@@ -84,24 +84,24 @@ def timing_of(stream: Any, stamps: Sequence[int]) -> Timing:
     rates = (stream.guessed_rate, stream.average_rate, stream.base_rate)
     # An unknown rate is None or, from PyAV 19, the untrue 0/0.
     declared = [1 / Fraction(rate) for rate in rates if rate and rate > 0]
-    steps = sorted(after - before for before, after in pairwise(stamps) if after > before)
+    steps = sorted(later - earlier for earlier, later in pairwise(stamps) if later > earlier)
     # A cut through reordered pictures leaves holes among the last stamps, so few of them prove little.
     if len(steps) < FEW_STEPS:
         likely = [interval for interval in declared if not steps or 8 * interval >= steps[0] * tick]
         if likely or not steps:
             return Timing(tick, likely[0] if likely else 1 / DEFAULT_RATE, 1.5, True)
     median = steps[(len(steps) - 1) // 2]
-    near = [step for step in steps if abs(step - median) <= 1]
+    close_steps = [step for step in steps if abs(step - median) <= 1]
     agreeing = [interval for interval in declared if abs(interval - median * tick) <= tick]
-    interval = agreeing[0] if agreeing else Fraction(sum(near), len(near)) * tick
+    interval = agreeing[0] if agreeing else Fraction(sum(close_steps), len(close_steps)) * tick
     tolerance = max(1.0, 0.1 * median)
     constant = sum(abs(step - median) <= tolerance for step in steps) >= _CONSTANT_SHARE * len(steps)
-    usual = steps[min(int(0.95 * len(steps)), len(steps) - 1)] * tick / interval
-    return Timing(tick, interval, 1.5 if constant else max(1.5, 1.5 * float(usual)), constant)
+    long_step = steps[min(int(0.95 * len(steps)), len(steps) - 1)] * tick / interval
+    return Timing(tick, interval, 1.5 if constant else max(1.5, 1.5 * float(long_step)), constant)
 
 
 def declared_by(container: Any, stream: Any, timing: Timing) -> Declared:
-    """What the container declares: its number of frames, else its duration (MP4 and MKV).
+    """Length that the container declares: its number of frames, else its duration (MP4 and MKV).
 
     Other containers declare nothing: FFmpeg's duration of them is a guess from what is there.
     """
@@ -114,7 +114,7 @@ def declared_by(container: Any, stream: Any, timing: Timing) -> Declared:
     elif container.duration is not None and container.duration > 0:
         duration = container.duration / 1e6
         # Sound may last longer. A second stream of pictures is often one made up by damage.
-        slack += 1.0 if any(other.type != "video" for other in container.streams) else 0.0
+        slack += 1.0 if any(other_stream.type != "video" for other_stream in container.streams) else 0.0
     else:
         duration = None
     if stream.frames > 0:
@@ -145,7 +145,7 @@ WITHOUT_RATE = frozenset({"mpjpeg", "mjpeg"})
 
 @dataclass(frozen=True)
 class Flow:
-    """How the pictures of a network source come.
+    """Arrival of a network source's pictures.
 
     Attributes:
         endless: why it seems to have no end, or None where it has one.

@@ -46,8 +46,10 @@ def shown_streams(container: Any) -> Iterator[Any]:
 
 
 def explain_stream(container: Any, stream: Any) -> Iterator[str]:
-    """What of a container is not read, and how its frames differ from what a player shows."""
-    sizes = [f"{one.codec_context.width}x{one.codec_context.height}" for one in shown_streams(container)]
+    """Parts of a container that are not read, and differences of its frames from those of a player."""
+    sizes = [
+        f"{video.codec_context.width}x{video.codec_context.height}" for video in shown_streams(container)
+    ]
     if len(sizes) > 1:
         yield (
             f"{len(sizes)} video streams, {', '.join(sizes)}; the first one is read "
@@ -58,15 +60,15 @@ def explain_stream(container: Any, stream: Any) -> Iterator[str]:
     aspect = getattr(stream, "sample_aspect_ratio", None) or stream.codec_context.sample_aspect_ratio
     if aspect and Fraction(aspect) != 1:
         width, height = stream.codec_context.width, stream.codec_context.height
-        shown = round(width * Fraction(aspect))
+        displayed = round(width * Fraction(aspect))
         yield (
-            f"a player shows its {width}x{height} px at {shown}x{height}, since they are not square; frames "
-            f"and boxes are of the {width}x{height} stored px"
+            f"a player shows its {width}x{height} px at {displayed}x{height}, since they are not square; "
+            f"frames and boxes are of the {width}x{height} stored px"
         )
 
 
 def explain_frame(frame: Any) -> str | None:
-    """How a frame, which is turned by quarter turns, differs from what a player shows."""
+    """Difference of a frame, which is turned by quarter turns, from that of a player."""
     stored = frame.side_data.get("DISPLAYMATRIX")
     if stored is None:
         return None
@@ -187,7 +189,7 @@ def _samples(frame: Any) -> Array:
 
 
 def _quarter_turns(frame: Any) -> int:
-    """How many quarter turns against the clock bring the stored picture upright."""
+    """Number of quarter turns against the clock that bring the stored picture upright."""
     degrees = getattr(frame, "rotation", None)
     if degrees is None:  # PyAV 12; asking for side data leaves frames to the garbage collector
         stored = frame.side_data.get("DISPLAYMATRIX")
@@ -197,7 +199,7 @@ def _quarter_turns(frame: Any) -> int:
 
 
 def words(error: BaseException) -> str:
-    """What a fault of a decoder says."""
+    """Text of a decoder's error."""
     if isinstance(error, av.error.ExitError):  # only the time-out asks for that
         return f"no answer within {NETWORK_TIMEOUT_S:g} s"
     return str(getattr(error, "strerror", None) or error or type(error).__name__)
@@ -364,8 +366,8 @@ class VideoReader:
     def _ending(self) -> Iterator[Damage]:
         frames, duration = self._stream.frames, self._declared.duration_s
         blank = self._packets - self._silent - self._index
-        whole = self._declared.duration_s is not None
-        if whole and blank > 0 and self._stream.codec_context.name in ONE_PICTURE_A_PACKET:
+        has_duration = self._declared.duration_s is not None
+        if has_duration and blank > 0 and self._stream.codec_context.name in ONE_PICTURE_A_PACKET:
             yield Damage(self._index, f"{blank} damaged frames gave no picture")
         end = self._end_s
         if self._declared.from_zero and self._origin is not None:
@@ -402,10 +404,10 @@ def _open(text: str, network: bool) -> Any:
         raise _not_a_video(text, words(error)) from error
 
 
-def _unreachable(text: str, found: str) -> SourceError:
+def _unreachable(text: str, fault: str) -> SourceError:
     return SourceError(
         text,
-        f"nothing to be watched at this address: {found}",
+        f"nothing to be watched at this address: {fault}",
         "an address that a video player opens",
         "check it, and user and password (http://USER:PASSWORD@HOST/...)",
     )
@@ -417,10 +419,10 @@ def _video_stream(text: str, container: Any) -> Any:
     raise _not_a_video(text, "no video stream that can be decoded in it")
 
 
-def _not_a_video(text: str, found: str) -> SourceError:
+def _not_a_video(text: str, fault: str) -> SourceError:
     return SourceError(
         text,
-        f"not a readable video: {found}",
+        f"not a readable video: {fault}",
         "videos that FFmpeg reads and that stand on their own (MP4, MKV, AVI, TS, ...)",
         "check that the file is whole; an MP4 whose writing was cut short has lost its index",
     )

@@ -248,8 +248,8 @@ def telling_frames(compared: Comparison) -> tuple[TellingFrame, ...]:
     frames, farthest = line.frame.tolist(), line.farthest
     reasons = {frames[farthest]: f"they are farthest apart, {line.px[farthest]:.3g} px"}
     for level, reason in LEVELS.items():
-        below = np.flatnonzero(line.iou < level)
-        reasons.setdefault(frames[below[0] if len(below) else farthest], reason)
+        rows = np.flatnonzero(line.iou < level)
+        reasons.setdefault(frames[rows[0] if len(rows) else farthest], reason)
     decided = next((moment.frame for moment in compared.moments if moment.pair == pair), None)
     if decided is not None and (line.frame == decided).any():
         also = f"; {reasons[decided]}" if decided in reasons else ""

@@ -98,15 +98,15 @@ def lay_out(target: CheckedTarget, active: Set[str]) -> GraphLayout:
     spans: dict[str, float] = {}
     for name in reversed(target.order):
         children = target.children.get(name, ())
-        below = sum(spans[child] for child in children) + GAP * max(len(children) - 1, 0)
-        spans[name] = max(widths[name], below)
+        children_width = sum(spans[child] for child in children) + GAP * max(len(children) - 1, 0)
+        spans[name] = max(widths[name], children_width)
     width = max(spans[target.root], LEGEND_WIDTH)
     left = {target.root: MARGIN + (width - spans[target.root]) / 2}
     depth = {target.root: 0}
     for name in target.order:
         children = target.children.get(name, ())
-        below = sum(spans[child] for child in children) + GAP * max(len(children) - 1, 0)
-        x = left[name] + (spans[name] - below) / 2
+        children_width = sum(spans[child] for child in children) + GAP * max(len(children) - 1, 0)
+        x = left[name] + (spans[name] - children_width) / 2
         for child in children:
             left[child], depth[child] = x, depth[name] + 1
             x += spans[child] + GAP

@@ -268,7 +268,7 @@ def _bgr(colour: str) -> tuple[int, int, int]:
 def with_factors(target: CheckedTarget) -> CheckedTarget:
     """The plate as it is drawn: its factors are leaves, behind the other children of the node above."""
     factors_of = {
-        name: [own for own, factor in target.factors.items() if factor.parent == name]
+        name: [factor_name for factor_name, factor in target.factors.items() if factor.parent == name]
         for name in target.order
     }
     return replace(

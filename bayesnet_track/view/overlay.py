@@ -42,47 +42,47 @@ def draw_overlay(image: Image, metrics: FrameMetrics, truth: ArrayLike | None = 
         metrics: one target's measurements in this frame.
         truth: corner box (4,) in px to draw dashed beside it; NaN or None draws none.
     """
-    drawn = np.array(image, order="C")
-    _draw(drawn, metrics, truth)
-    return drawn
+    canvas = np.array(image, order="C")
+    _draw(canvas, metrics, truth)
+    return canvas
 
 
-def _draw(drawn: Image, metrics: FrameMetrics, truth: ArrayLike | None = None) -> None:
+def _draw(canvas: Image, metrics: FrameMetrics, truth: ArrayLike | None = None) -> None:
     """Draw a target into an image of its own."""
     import cv2
 
-    scale = min(max(min(drawn.shape[:2]) / 480.0, 0.5), 2.5)
+    scale = min(max(min(canvas.shape[:2]) / 480.0, 0.5), 2.5)
     line = max(2, round(2 * scale))
     colour = STATUS_COLOUR.get(metrics.status, STATUS_COLOUR["tracking"])
     if metrics.cloud:
-        _draw_cloud(drawn, [_corners(box[:4]) for box in metrics.cloud])
+        _draw_cloud(canvas, [_corners(box[:4]) for box in metrics.cloud])
     if truth is not None and np.isfinite(np.asarray(truth, dtype=np.float64)).all():
         x, y, w, h = np.asarray(truth, dtype=np.float64)
-        _dash(drawn, *_span((x, y), (x + w - 1, y + h - 1)), max(1, line - 1))
+        _dash(canvas, *_span((x, y), (x + w - 1, y + h - 1)), max(1, line - 1))
     for part in metrics.parts.values():
         if part.status == "seen":
-            cv2.rectangle(drawn, *_corners(part.centre_box), PART_COLOUR, max(1, line - 1))
+            cv2.rectangle(canvas, *_corners(part.centre_box), PART_COLOUR, max(1, line - 1))
         else:
-            _dash(drawn, *_corners(part.centre_box), max(1, line - 1), PART_COLOUR)
+            _dash(canvas, *_corners(part.centre_box), max(1, line - 1), PART_COLOUR)
     low, high = _corners(metrics.centre_box)
     for step in range(-1, line):  # a dark rim outside, the colour on the box's own pixels
         if 2 * step <= min(high[0] - low[0], high[1] - low[1]):
             inner, outer = (low[0] + step, low[1] + step), (high[0] - step, high[1] - step)
-            cv2.rectangle(drawn, inner, outer, DARK if step < 0 else colour, 1)
+            cv2.rectangle(canvas, inner, outer, DARK if step < 0 else colour, 1)
     if metrics.angle != 0.0:
         x, y, w, h = (float(np.clip(value, -REACH, 2 * REACH)) for value in metrics.centre_box)
         turned = np.rint(cv2.boxPoints(((x, y), (w, h), metrics.angle))).astype(np.int32)
-        cv2.polylines(drawn, [turned], True, colour, 1)
-    _label(drawn, metrics, low, high, colour, scale)
+        cv2.polylines(canvas, [turned], True, colour, 1)
+    _label(canvas, metrics, low, high, colour, scale)
 
 
-def _draw_cloud(drawn: Image, boxes: Sequence[tuple[Point, Point]]) -> None:
+def _draw_cloud(canvas: Image, boxes: Sequence[tuple[Point, Point]]) -> None:
     """Draw rectangles that are half transparent, once for all that lie on each other."""
     import cv2
 
     corners = np.array(boxes)
     (x0, y0), (x1, y1) = np.maximum(corners.min((0, 1)), 0), np.maximum(corners.max((0, 1)) + 1, 0)
-    part = drawn[y0:y1, x0:x1]
+    part = canvas[y0:y1, x0:x1]
     if part.size == 0:
         return
     veil = part.copy()
@@ -95,10 +95,10 @@ def _draw_cloud(drawn: Image, boxes: Sequence[tuple[Point, Point]]) -> None:
 
 def draw_targets(image: Image, targets: Iterable[FrameMetrics]) -> Image:
     """A copy of the BGR frame with every target as in `draw_overlay`."""
-    drawn = np.array(image, order="C")
+    canvas = np.array(image, order="C")
     for metrics in targets:
-        _draw(drawn, metrics)
-    return drawn
+        _draw(canvas, metrics)
+    return canvas
 
 
 def _corners(centre_box: Sequence[float]) -> tuple[Point, Point]:
@@ -158,15 +158,15 @@ def _label(
     plate[:] = (plate * 0.3 + np.array(DARK) * 0.7).astype(np.uint8)
     for number, text in enumerate(lines):
         ink = colour if number == 0 else (235, 235, 235)
-        at = (x + pad, y + step * (number + 1) - step // 5)
-        cv2.putText(image, text, at, font, size, ink, weight, cv2.LINE_AA)
+        position = (x + pad, y + step * (number + 1) - step // 5)
+        cv2.putText(image, text, position, font, size, ink, weight, cv2.LINE_AA)
 
 
 def _fit(words: list[str], room: int, extent: Callable[[str], int]) -> str:
     """Words that fit, then how many are left out; a single word is cut."""
-    for kept in range(len(words), 0, -1):
-        rest = len(words) - kept
-        text = ", ".join(words[:kept]) + (f" +{rest}" if rest else "")
+    for count in range(len(words), 0, -1):
+        omitted = len(words) - count
+        text = ", ".join(words[:count]) + (f" +{omitted}" if omitted else "")
         if extent(text) <= room:
             return text
     text = words[0]
@@ -210,16 +210,16 @@ def draw_trajectories(image: Image, boxes: Floats) -> Image:
     """
     import cv2
 
-    drawn = np.ascontiguousarray(image).copy()
+    canvas = np.ascontiguousarray(image).copy()
     centres = np.rint(np.clip(boxes[:, :MOST_PATHS, :2], -REACH, REACH)).astype(np.int32)
-    veil = drawn.copy()
+    veil = canvas.copy()
     paths = [np.ascontiguousarray(path) for path in centres.swapaxes(0, 1)]
     cv2.polylines(veil, paths, False, PATH, 1, cv2.LINE_AA)
-    drawn = cv2.addWeighted(veil, 0.55, drawn, 0.45, 0.0)
+    canvas = cv2.addWeighted(veil, 0.55, canvas, 0.45, 0.0)
     for box in boxes[-1, :MOST_BOXES]:
-        _rectangle(drawn, box, LAST, 1)
-    _rectangle(drawn, boxes[0, 0], FIRST, 2)
-    return np.asarray(drawn, dtype=np.uint8)
+        _rectangle(canvas, box, LAST, 1)
+    _rectangle(canvas, boxes[0, 0], FIRST, 2)
+    return np.asarray(canvas, dtype=np.uint8)
 
 
 def _rectangle(image: Image, box: Floats, colour: tuple[int, int, int], width: int) -> None:
@@ -245,15 +245,15 @@ def visible_ground(view: GroundView, width: int, height: int) -> tuple[Floats, F
     """
     columns, rows = np.meshgrid(np.linspace(0, width - 1, 80), np.linspace(0, height - 1, 80))
     ground = view.ground_points(np.column_stack([columns.ravel(), rows.ravel()]))
-    seen = np.isfinite(ground).all(axis=1)
-    if not seen.any():
+    is_ground = np.isfinite(ground).all(axis=1)
+    if not is_ground.any():
         raise CameraError("the image shows no ground: all of it is above the horizon")
     nearest = view.ground_points(np.array([[(width - 1) / 2, height - 1.0]]))[0]
     if not np.isfinite(nearest).all():
-        nearest = np.median(ground[seen], axis=0)
-    close = ground[seen & (np.hypot(*(ground - nearest).T) < FARTHEST_M)]
-    close = close if len(close) else ground[seen][:1]
-    return np.percentile(close, 3, axis=0), np.percentile(close, 97, axis=0)
+        nearest = np.median(ground[is_ground], axis=0)
+    near_points = ground[is_ground & (np.hypot(*(ground - nearest).T) < FARTHEST_M)]
+    near_points = near_points if len(near_points) else ground[is_ground][:1]
+    return np.percentile(near_points, 3, axis=0), np.percentile(near_points, 97, axis=0)
 
 
 def spacing_of(low: Floats, high: Floats) -> float:
@@ -262,9 +262,9 @@ def spacing_of(low: Floats, high: Floats) -> float:
     >>> spacing_of(np.array([0.0, 0.0]), np.array([30.0, 12.0]))
     2.0
     """
-    wanted = max(float((high - low).max()) / LINES, 1e-6)
-    power = 10.0 ** math.floor(math.log10(wanted))
-    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= wanted * 0.999)
+    ideal = max(float((high - low).max()) / LINES, 1e-6)
+    power = 10.0 ** math.floor(math.log10(ideal))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= ideal * 0.999)
 
 
 def draw_ground(image: Image, view: GroundView) -> tuple[Image, float]:
@@ -291,12 +291,14 @@ def draw_ground(image: Image, view: GroundView) -> tuple[Image, float]:
             _draw_path(canvas, view.project(np.column_stack([line, np.zeros(400)])), GRID if value else AXIS)
     spots = np.array([[x, y] for x in xs[1::4] for y in ys[1::4]])
     pixels = view.project(np.column_stack([spots, np.zeros(len(spots))]))
-    inside = _inside(pixels, width, height)
-    for (x, y), pixel in zip(spots[inside], pixels[inside], strict=True):
-        at = (int(pixel[0]) + 3, int(pixel[1]) - 3)
+    is_inside = _is_visible(pixels, width, height)
+    for (x, y), pixel in zip(spots[is_inside], pixels[is_inside], strict=True):
+        position = (int(pixel[0]) + 3, int(pixel[1]) - 3)
         for colour, thick in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-            cv2.putText(canvas, f"{x:g},{y:g}", at, cv2.FONT_HERSHEY_SIMPLEX, 0.4, colour, thick, cv2.LINE_AA)
-    _draw_people(canvas, view, spots[inside])
+            cv2.putText(
+                canvas, f"{x:g},{y:g}", position, cv2.FONT_HERSHEY_SIMPLEX, 0.4, colour, thick, cv2.LINE_AA
+            )
+    _draw_people(canvas, view, spots[is_inside])
     return canvas, step
 
 
@@ -322,15 +324,15 @@ def draw_points(canvas: Image, view: GroundView, numbers: Floats) -> Floats:
 
     pixels = view.project(np.column_stack([numbers[:, 2:], np.zeros(len(numbers))]))
     for measured, expected in zip(numbers[:, :2], pixels, strict=True):
-        at = (round(measured[0]), round(measured[1]))
-        cv2.drawMarker(canvas, at, POINT, cv2.MARKER_TILTED_CROSS, 11, 2)
+        position = (round(measured[0]), round(measured[1]))
+        cv2.drawMarker(canvas, position, POINT, cv2.MARKER_TILTED_CROSS, 11, 2)
         if np.isfinite(expected).all():
-            cv2.line(canvas, at, (round(expected[0]), round(expected[1])), AXIS, 1, cv2.LINE_AA)
+            cv2.line(canvas, position, (round(expected[0]), round(expected[1])), AXIS, 1, cv2.LINE_AA)
             cv2.circle(canvas, (round(expected[0]), round(expected[1])), 5, AXIS, 1, cv2.LINE_AA)
     return np.asarray(np.hypot(*(pixels - numbers[:, :2]).T))
 
 
-def _inside(pixels: Floats, width: int, height: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _is_visible(pixels: Floats, width: int, height: int) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     with np.errstate(invalid="ignore"):
         return np.asarray((pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height))
 
@@ -341,8 +343,8 @@ def _draw_path(canvas: Image, pixels: Floats, colour: tuple[int, int, int]) -> N
 
     height, width = canvas.shape[:2]
     with np.errstate(invalid="ignore"):
-        near = (np.abs(pixels - [width / 2, height / 2]) < 2 * max(width, height)).all(axis=1)
-    for one, other, is_drawn in zip(pixels[:-1], pixels[1:], near[:-1] & near[1:], strict=True):
+        is_near = (np.abs(pixels - [width / 2, height / 2]) < 2 * max(width, height)).all(axis=1)
+    for start, end, is_drawn in zip(pixels[:-1], pixels[1:], is_near[:-1] & is_near[1:], strict=True):
         if is_drawn:
-            a, b = ((round(p[0]), round(p[1])) for p in (one, other))
+            a, b = ((round(p[0]), round(p[1])) for p in (start, end))
             cv2.line(canvas, a, b, colour, 1, cv2.LINE_AA)

@@ -73,19 +73,21 @@ def run_data(
     if not isinstance(start, RunStarted):
         raise ValueError("the journal does not begin with run_started")
     blocks = Blocks(metrics, READ)
-    shown = choose(blocks, events)
+    selection = choose(blocks, events)
     templates = {e.target: e.template for e in events if isinstance(e, TargetStarted | Returned)}
-    points = max(1, CLOUD_POINTS // max(1, len(shown.rows)))
+    points = max(1, CLOUD_POINTS // max(1, len(selection.rows)))
     columns: Columns = {}
     targets = []
     ids = blocks.texts["target"].texts
     for number, target in enumerate(ids):
-        rows = shown.rows.of_rows(np.flatnonzero(shown.rows.codes("target") == number))
+        rows = selection.rows.of_rows(np.flatnonzero(selection.rows.codes("target") == number))
         names = _names(rows, blocks)
         columns |= {
             f"{number}/{name}": column for name, column in _target(rows, names, blocks, points).items()
         }
-        targets.append({"id": target, "plate": templates.get(target, ""), **names, **shown.counted(target)})
+        targets.append(
+            {"id": target, "plate": templates.get(target, ""), **names, **selection.counted(target)}
+        )
     columns |= {f"run/{name}": column for name, column in _clock(timings).items()}
     about_truth: str | None = None
     if truth is not None:
@@ -99,7 +101,7 @@ def run_data(
         "targets": targets,
         "events": event_rows(events),
         "truth_target": about_truth,
-        "thinned": shown.about,
+        "thinned": selection.about,
         "stages": sorted({name for line in timings for name in line["parts"]}),
     }
     return header, columns
@@ -244,11 +246,11 @@ def _target(rows: Block, names: Mapping[str, Any], blocks: Blocks, points: int) 
 def _clouds(rows: Block, points: int) -> Columns:
     """`cloud` (m, 4): all hypotheses below each other; `cloud_end` (n,): where those of a frame end."""
     counts = rows.columns.get("cloud_count", np.zeros(len(rows))).astype(np.int64)
-    kept = np.minimum(counts, points)
-    within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    flat = rows.columns.get(CLOUD, np.zeros((4, 0)))[:, within < np.repeat(kept, counts)]
+    limited = np.minimum(counts, points)
+    index_in_frame = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    flat = rows.columns.get(CLOUD, np.zeros((4, 0)))[:, index_in_frame < np.repeat(limited, counts)]
     cloud = np.clip(flat, -32768, 32767).astype(np.int16).T
-    return {"cloud": np.ascontiguousarray(cloud), "cloud_end": np.cumsum(kept).astype(np.int32)}
+    return {"cloud": np.ascontiguousarray(cloud), "cloud_end": np.cumsum(limited).astype(np.int32)}
 
 
 def _clock(timings: Sequence[Mapping[str, Any]]) -> Columns:
@@ -274,8 +276,8 @@ def _holds(rows: Block, blocks: Blocks, name: str, agent: str) -> NDArray[np.boo
 
 def _codes(rows: Block, blocks: Blocks, name: str) -> NDArray[np.uint8]:
     texts = blocks.texts[name].texts
-    known = [STATUSES.index(text) if text in STATUSES else 0 for text in texts]
-    return np.array(known, dtype=np.uint8)[rows.codes(name)]
+    codes = [STATUSES.index(text) if text in STATUSES else 0 for text in texts]
+    return np.array(codes, dtype=np.uint8)[rows.codes(name)]
 
 
 def _finite(value: float) -> float | None:
@@ -322,8 +324,8 @@ class History:
     def stretches(self, mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
         """Stretches of successive rows of a mask, as first and last frame."""
         edges = np.diff(mask.astype(np.int8), prepend=0, append=0)
-        first, last = self.frame[edges[:-1] > 0], self.frame[edges[1:] < 0]
-        return [*zip(first.tolist(), last.tolist(), strict=True)]
+        first, final = self.frame[edges[:-1] > 0], self.frame[edges[1:] < 0]
+        return [*zip(first.tolist(), final.tolist(), strict=True)]
 
 
 def histories(metrics: Sequence[FrameMetrics], targets: Iterable[str]) -> dict[str, History]:

@@ -314,29 +314,35 @@ def choose(blocks: Blocks, events: Sequence[Event]) -> Shown:
     frames = blocks.frames()
     decided = dict.fromkeys((event.target, event.frame) for event in events if isinstance(event, Decision))
     nth = max(1, -(-4 * len(decided) // MOST_ROWS))
-    kept: list[Block] = []
+    selected: list[Block] = []
     counts: Counter[tuple[int, int, int]] = Counter()
     for block in blocks:
         keys = [block.codes(name).astype(np.int64) for name in ("target", "status", "active")]
         combined = keys[0] << 40 | keys[1] << 32 | keys[2]
         for key, count in zip(
-            *(one.tolist() for one in np.unique(combined, return_counts=True)), strict=True
+            *(column.tolist() for column in np.unique(combined, return_counts=True)), strict=True
         ):
             counts[key >> 40, (key >> 32) & 0xFF, key & 0xFFFF_FFFF] += count
         index = np.searchsorted(frames, block.frame)
         is_kept = (index % step == 0) | (index == len(frames) - 1) | _peaks(block, index // step)
         is_kept |= np.isin(_place(keys[0], block.frame), _places([*decided][::nth], blocks))
-        kept.append(block.of_rows(np.flatnonzero(is_kept)))
-    rows = blocks.joined(kept)
-    apart = int(np.median(np.diff(frames[::step]))) if len(frames) > step else step
-    about = {"step": apart, "rows": len(rows), "of": blocks.rows, "frames": len(frames), "decisions": nth}
-    return Shown(rows, about, _by_target(counts, blocks))
+        selected.append(block.of_rows(np.flatnonzero(is_kept)))
+    rows = blocks.joined(selected)
+    interval = int(np.median(np.diff(frames[::step]))) if len(frames) > step else step
+    summary = {
+        "step": interval,
+        "rows": len(rows),
+        "of": blocks.rows,
+        "frames": len(frames),
+        "decisions": nth,
+    }
+    return Shown(rows, summary, _by_target(counts, blocks))
 
 
 def _places(decided: Sequence[tuple[str, int]], blocks: Blocks) -> NDArray[np.int64]:
     numbers = {target: number for number, target in enumerate(blocks.texts["target"].texts)}
-    known = [(numbers[target], frame) for target, frame in decided if target in numbers]
-    targets, frames = np.array(known, dtype=np.int64).reshape(-1, 2).T
+    pairs = [(numbers[target], frame) for target, frame in decided if target in numbers]
+    targets, frames = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     return _place(targets, frames)
 
 

@@ -166,8 +166,8 @@ def _levels(lines: History, events: Sequence[Event], axes: Axes) -> list[str]:
         points = _points(lines.frame[has_baseline].tolist(), quiet, axes)
         elements.append(_polyline(points, QUIET, 1.3, dash="2 3"))
         names.append((points[-1][1], f"quiet {_number(quiet[-1])}", QUIET))
-    last = float(lines.ud_px2[-1])
-    names.append((axes.y(last), f"UD {_number(last)}", UD_LINE))
+    current_ud = float(lines.ud_px2[-1])
+    names.append((axes.y(current_ud), f"UD {_number(current_ud)}", UD_LINE))
     row = -math.inf
     for y, name, colour in sorted(names):
         row = max(y + 4.0, row + 13.0)

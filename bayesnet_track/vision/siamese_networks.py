@@ -366,7 +366,7 @@ def _try(asked: str) -> tuple[str | None, str]:
     held, lifeline = tie()
     try:
         done = subprocess.run(
-            python(CODE, asked, held=held),
+            python(CODE, asked, descriptor=held),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -85,7 +85,7 @@ def test_it_is_known_that_the_other_end_was_closed_before():
 @pytest.mark.parametrize("is_stopped", [False, True])
 def test_a_child_that_is_tied_ends_though_it_is_stopped(is_stopped):
     held, lifeline = tie()
-    command = python("import os, time; os.write(1, b'.'); time.sleep(60)", held=held)
+    command = python("import os, time; os.write(1, b'.'); time.sleep(60)", descriptor=held)
     with subprocess.Popen(command, stdout=subprocess.PIPE, pass_fds=(held,)) as child:
         cut(held)
         assert child.stdout.read(1) == b"."

@@ -255,7 +255,9 @@ class _Worker:
         with ExitStack() as stack:
             held, lifeline = tie()
             stack.callback(cut, lifeline)
-            command = python("from bayesnet_track.cli.batch.work import main; sys.exit(main())", held=held)
+            command = python(
+                "from bayesnet_track.cli.batch.work import main; sys.exit(main())", descriptor=held
+            )
             files = () if held < 0 else (held,)
             try:
                 self._complaints = stack.enter_context(

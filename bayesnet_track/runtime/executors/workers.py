@@ -130,7 +130,7 @@ class ForkServer:
         try:
             with _cue_files() as files:
                 self._process = subprocess.Popen(
-                    python(f"from {MODULE} import main; main{numbers}", held=held),
+                    python(f"from {MODULE} import main; main{numbers}", descriptor=held),
                     stdin=files,
                     pass_fds=(*numbers[:2], held),
                     env={**os.environ, **ONE_THREAD},

@@ -30,9 +30,9 @@ def is_mot_of_8(rows: Floats, name: str) -> bool:
     if not len(rows):
         return False
     frames, ids, confidence, number = rows[:, 0], rows[:, 1], rows[:, 6], rows[:, 7]
-    whole = (rows[:, [0, 1, 7]] % 1 == 0).all() and (frames >= 0).all() and (ids >= -1).all()
+    is_whole = (rows[:, [0, 1, 7]] % 1 == 0).all() and (frames >= 0).all() and (ids >= -1).all()
     sized = float((rows[:, 4:6] > 0).all(axis=1).mean()) > 0.5
-    can_be_mot = bool(whole and sized and (number >= -1).all() and _grow(frames, ids))
+    can_be_mot = bool(is_whole and sized and (number >= -1).all() and _grow(frames, ids))
     highest = 100 if len(rows) >= LEAST_LINES else 1
     can_be_mot = can_be_mot and bool(((confidence >= -1) & (confidence <= highest)).all())
     is_flag = bool((np.abs(confidence) <= 1).all())
@@ -83,9 +83,9 @@ def _are_convex(points: Floats) -> NDArray[np.bool_]:
 def _are_rectangles(points: Floats) -> NDArray[np.bool_]:
     """(N,) whether the diagonals (N, 4, 2) halve each other, to a tenth of their length."""
     first, second = points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]
-    apart = np.hypot(*(points[:, 0] + points[:, 2] - points[:, 1] - points[:, 3]).T)
+    distance = np.hypot(*(points[:, 0] + points[:, 2] - points[:, 1] - points[:, 3]).T)
     longest = np.maximum(np.hypot(*first.T), np.hypot(*second.T))
-    return np.asarray(_are_convex(points) & (apart <= 0.1 * longest))
+    return np.asarray(_are_convex(points) & (distance <= 0.1 * longest))
 
 
 def are_polygons(rows: Floats) -> bool:
@@ -129,10 +129,10 @@ def refuse_scores(boxes: Floats, name: str) -> None:
     if len(moderate) < LEAST_LINES:
         return
     low = [bool(((values >= 0) & (values <= 1)).all()) for values in moderate.T]
-    for column, what in ((2, "width"), (3, "height"), (0, "left")):
+    for column, side in ((2, "width"), (3, "height"), (0, "left")):
         if low[column] and (column or (moderate[:, 0] % 1 != 0).any()):
             raise ValueError(
-                f"{name}: every {what} is from 0 to 1: lines can be boxes or scores in another order, "
+                f"{name}: every {side} is from 0 to 1: lines can be boxes or scores in another order, "
                 "as frame,x,y,w,h,score; write a header line that names the columns, such as "
                 "frame,left,top,width,height,confidence"
             )
@@ -140,8 +140,8 @@ def refuse_scores(boxes: Floats, name: str) -> None:
 
 def refuse_shares(boxes: Floats, name: str) -> None:
     """Raise ValueError where all coordinates are from 0 to 1, as shares of the frame's width and height."""
-    held = boxes[np.isfinite(boxes).all(axis=1)]
-    if len(held) and (held >= 0).all() and (held <= 1).all() and (held % 1 != 0).any():
+    finite = boxes[np.isfinite(boxes).all(axis=1)]
+    if len(finite) and (finite >= 0).all() and (finite <= 1).all() and (finite % 1 != 0).any():
         raise ValueError(
             f"{name}: all coordinates are from 0 to 1, as shares of a frame's width and height; boxes are in "
             "px: multiply x and width by the frame's width, y and height by its height, or give the size of "
@@ -165,8 +165,8 @@ def far_outside(boxes: Floats, size: tuple[int, int]) -> NDArray[np.bool_]:
     >>> far_outside(np.array([[50.0, 40, 110, 85], [100, 40, 25, 20]]), (120, 90)).tolist()
     [True, False]
     """
-    inside = (boxes[:, :2] < size).all(axis=1)
-    return np.asarray(inside & (boxes[:, :2] + boxes[:, 2:] > 1.1 * np.array(size)).any(axis=1))
+    begins_inside = (boxes[:, :2] < size).all(axis=1)
+    return np.asarray(begins_inside & (boxes[:, :2] + boxes[:, 2:] > 1.1 * np.array(size)).any(axis=1))
 
 
 LARGEST_PX = 1e9
@@ -205,26 +205,26 @@ LONG, LONG_SHARE = 10, 0.25
 QUESTION = ": is the file of this video, and of its frame rate?"
 
 
-def explain_places(boxes: Floats, size: tuple[int, int], what: str) -> Iterator[str]:
+def explain_places(boxes: Floats, size: tuple[int, int], noun: str) -> Iterator[str]:
     """Sentences about corner boxes (N, 4) far outside of frames of this width and height, px.
 
     >>> print(*explain_places(np.array([[500.0, 40, 60, 45], [50, 40, 20, 45]]), (120, 90), "true boxes"))
     1 of 2 true boxes lie outside of the frames of 120x90 px: is the file of this video, and of its size?
     """
     frame = f"the frames of {size[0]}x{size[1]} px"
-    outside = (boxes[:, :2] >= size).any(axis=1) | (boxes[:, :2] + boxes[:, 2:] <= 0).any(axis=1)
-    if outside.any():
+    is_outside = (boxes[:, :2] >= size).any(axis=1) | (boxes[:, :2] + boxes[:, 2:] <= 0).any(axis=1)
+    if is_outside.any():
         yield (
-            f"{outside.sum()} of {len(boxes)} {what} lie outside of {frame}: is the file of this video, and "
-            "of its size?"
+            f"{is_outside.sum()} of {len(boxes)} {noun} lie outside of {frame}: is the file of this video, "
+            "and of its size?"
         )
-    yield from explain_corners(boxes, size, what)
+    yield from explain_corners(boxes, size, noun)
 
 
-def explain_corners(boxes: Floats, size: tuple[int, int], what: str) -> Iterator[str]:
+def explain_corners(boxes: Floats, size: tuple[int, int], noun: str) -> Iterator[str]:
     """A sentence where most boxes begin inside and reach far out, as corners do that are given as sizes."""
-    far = far_outside(boxes, size)
-    if len(far) and far.mean() > 0.5:
+    is_far = far_outside(boxes, size)
+    if len(is_far) and is_far.mean() > 0.5:
         fits = (boxes[:, 2:] > boxes[:, :2]) & (boxes[:, 2:] <= np.array(size) + 1)
         cause = (
             "they can be corners left,top,right,bottom, which a header line frame,id,x1,y1,x2,y2,.. names"
@@ -232,7 +232,7 @@ def explain_corners(boxes: Floats, size: tuple[int, int], what: str) -> Iterator
             else "are they boxes left,top,width,height of this video, and of its size?"
         )
         yield (
-            f"{far.sum()} of {len(boxes)} {what} begin inside of the frames of {size[0]}x{size[1]} px and "
+            f"{is_far.sum()} of {len(boxes)} {noun} begin inside of the frames of {size[0]}x{size[1]} px and "
             f"reach far beyond them: {cause}"
         )
 
@@ -250,12 +250,12 @@ def explain_lengths(truth: Ints, tracked: Ints, ran: range | None = None) -> Ite
     """
     if not len(truth) or not (len(tracked) or ran):
         return
-    last = max(ran[-1] if ran else 0, int(tracked.max(initial=0)))
-    later = truth[truth > last]
-    if len(later) and (ran or _is_long(int(truth.max()), last)):
-        after = "after the last one of the run" if ran else "after the last tracked box"
+    final = max(ran[-1] if ran else 0, int(tracked.max(initial=0)))
+    later = truth[truth > final]
+    if len(later) and (ran or _is_long(int(truth.max()), final)):
+        place = "after the last one of the run" if ran else "after the last tracked box"
         yield (
-            f"{len(later)} of {len(truth)} true boxes are of frames {after} ({later.min()} to {later.max()}, "
+            f"{len(later)} of {len(truth)} true boxes are of frames {place} ({later.min()} to {later.max()}, "
             f"counted from 0), and count as missed{QUESTION}"
         )
     spare = tracked[tracked > truth.max()]
@@ -266,5 +266,5 @@ def explain_lengths(truth: Ints, tracked: Ints, ran: range | None = None) -> Ite
         )
 
 
-def _is_long(last: int, end: int) -> bool:
-    return last - end >= max(LONG, LONG_SHARE * (last + 1))
+def _is_long(final: int, end: int) -> bool:
+    return final - end >= max(LONG, LONG_SHARE * (final + 1))

@@ -21,8 +21,8 @@ MIDDLE = (0.1, 99.9)
 """Percentiles between which the values lie that a range should cover: a broken pixel is beyond."""
 
 
-def explain_pixels(image: NDArray[Any], known: bool) -> str:
-    """How an array that is no frame can become one; `known` if its shape is that of a frame.
+def explain_pixels(image: NDArray[Any], has_frame_shape: bool) -> str:
+    """Advice how an array that is no frame can become one; `has_frame_shape` if its shape is that of one.
 
     >>> explain_pixels(np.zeros((3, 48, 64), np.uint8), False)
     '; its channels stand first, as PyTorch has them: frame.transpose(1, 2, 0), in the order blue, green, red'
@@ -31,12 +31,12 @@ def explain_pixels(image: NDArray[Any], known: bool) -> str:
         return "; it holds no pixel: could the image be read?"
     if image.ndim == 4 and image.shape[-1] in CHANNELS:
         return f"; {len(image)} images: give them one by one, frame[0] first"
-    if image.ndim == 3 and image.shape[0] in CHANNELS and not known:
+    if image.ndim == 3 and image.shape[0] in CHANNELS and not has_frame_shape:
         first = "; its channels stand first, as PyTorch has them"
         return f"{first}: frame.transpose(1, 2, 0), in the order blue, green, red"
     if image.ndim == 3 and image.shape[-1] == 2:
         return "; two channels: frame[..., 0] is the first one, gray where the second is alpha"
-    if not known and image.ndim in (2, 3):
+    if not has_frame_shape and image.ndim in (2, 3):
         return "; frame[..., [2, 1, 0]] takes three channels, blue, green and red, of several"
     if image.dtype.kind == "b":
         return "; a mask of True and False: frame.astype(numpy.uint8) * 255"
@@ -44,10 +44,10 @@ def explain_pixels(image: NDArray[Any], known: bool) -> str:
         return "; frame.astype(numpy.uint8) makes 8 bits of numbers from 0 to 255"
     low, high = middle_of(image)
     is_small = image.dtype.kind in "iu" and image.min() >= 0 and image.max() <= 255
-    other = ", or, where 0 to 255 are black to white, frame.astype(numpy.uint8)" if is_small else ""
+    alternative = ", or, where 0 to 255 are black to white, frame.astype(numpy.uint8)" if is_small else ""
     if image.dtype.kind == "f" and low >= 0 and high <= 1:
         low, high = 0.0, 1.0
-    return f"; values of another type need a range: {flag_of((low, high))}{other}"
+    return f"; values of another type need a range: {flag_of((low, high))}{alternative}"
 
 
 def explain_alpha(image: NDArray[Any]) -> str | None:
@@ -81,19 +81,19 @@ def explain_not_finite(image: NDArray[Any]) -> str | None:
 
 
 def middle_of(values: NDArray[Any]) -> ValueRange:
-    """Where all finite values lie, or nearly all where a few are far away."""
+    """Range of all finite values, or of nearly all where a few are far away."""
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return 0.0, 1.0
     low, high = (float(v) for v in np.percentile(finite, MIDDLE))
-    least, most = float(finite.min()), float(finite.max())
-    if low == high or most - least <= 2.0 * (high - low):
-        low, high = least, most
+    lowest, highest = float(finite.min()), float(finite.max())
+    if low == high or highest - lowest <= 2.0 * (high - low):
+        low, high = lowest, highest
     return low, high if high > low else low + 1.0
 
 
 def flag_of(value_range: Sequence[float]) -> str:
-    """How a range is given."""
+    """Option that gives a range."""
     low, high = (text_of(value) for value in value_range)
     return setting("--range", f"{low},{high}", f"({low}, {high})")
 
@@ -110,21 +110,21 @@ FEW_LEVELS = 64
 MOST_CLIPPED = 0.5
 
 
-def value_range_of(given: object) -> ValueRange | None:
+def value_range_of(bounds: object) -> ValueRange | None:
     """A range as it is given: None, or two finite numbers, the lower one first.
 
     Raises:
         ValueError: it is something else.
     """
-    if given is None:
+    if bounds is None:
         return None
     try:
-        low, high = (float(value) for value in given)  # type: ignore[attr-defined]
+        low, high = (float(value) for value in bounds)  # type: ignore[attr-defined]
     except (TypeError, ValueError):
         low, high = math.nan, math.nan
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise ValueError(
-            f"value range {given!r}: two finite numbers are needed, the value that becomes black and the "
+            f"value range {bounds!r}: two finite numbers are needed, the value that becomes black and the "
             "higher one that becomes white, such as 8000, 8063"
         )
     return low, high
@@ -144,13 +144,13 @@ def to_bgr(image: NDArray[Any], value_range: ValueRange | None = None) -> tuple[
     """
     channels = image.shape[-1] if image.ndim == 3 else 1
     deep = image.dtype.kind in "fiu" if value_range is not None else image.dtype == np.uint16
-    known = image.ndim in (2, 3) and channels in (1, 3, 4)
+    has_frame_shape = image.ndim in (2, 3) and channels in (1, 3, 4)
     if channels == 4 and image.dtype not in (np.uint8, np.uint16):
-        known = False
-    if not ((image.dtype == np.uint8 or deep) and known) or image.size == 0:
+        has_frame_shape = False
+    if not ((image.dtype == np.uint8 or deep) and has_frame_shape) or image.size == 0:
         raise PictureError(
             f"{image.dtype} values of shape {image.shape}; allowed: 8 or 16 bit, 1, 3 or 4 channels"
-            + explain_pixels(image, known)
+            + explain_pixels(image, has_frame_shape)
         )
     if image.dtype == np.uint8 and channels == 3 and value_range is None:
         return np.ascontiguousarray(image), True
@@ -202,7 +202,7 @@ class Levels:
             self._dtype, self._is_said, self._unsaid = np.dtype(dtype), True, []
 
     def __call__(self, image: NDArray[Any]) -> tuple[NDArray[np.uint8], bool]:
-        """As `to_bgr`; a range holds for values of one type. Raises PictureError.
+        """Convert as `to_bgr`; a range holds for values of one type. Raises PictureError.
 
         Once it is said where pixels are transparent, and where values are not finite.
         """
@@ -216,53 +216,53 @@ class Levels:
         self._dtype = image.dtype if self._dtype is None else self._dtype
         if self.value_range is not None and image.dtype != self._dtype:
             raise PictureError(f"{image.dtype} values, and a range that counts those of {self._dtype}")
-        made = to_bgr(image, self.value_range)
-        self.look(image, made[0])
+        converted = to_bgr(image, self.value_range)
+        self.look(image, converted[0])
         for explain in tuple(self._unsaid):
             reason = explain(image)
             if reason is not None:
                 self._unsaid.remove(explain)
                 notice(f"{self._name}: {reason}")
-        return made
+        return converted
 
-    def look(self, before: NDArray[Any], after: NDArray[np.uint8]) -> None:
+    def look(self, original: NDArray[Any], converted: NDArray[np.uint8]) -> None:
         """Say what the first image lost; the values before may be of one channel of several."""
         if self._is_said:
             return
         self._is_said = True
-        reason = explain_loss(before, after, self.value_range)
+        reason = explain_loss(original, converted, self.value_range)
         if reason is not None:
             notice(f"{self._name}: {reason}")
 
 
 def explain_loss(
-    before: NDArray[Any], after: NDArray[np.uint8], value_range: ValueRange | None = None
+    original: NDArray[Any], converted: NDArray[np.uint8], value_range: ValueRange | None = None
 ) -> str | None:
     """A sentence on the gray levels that are lost where values become 8 bits; None where they are not.
 
     >>> print(explain_loss(np.arange(8000, 8064, dtype=np.uint16), np.full(64, 31, np.uint8)).split(";")[0])
     the values of the first frame lie in 8000..8063, 64 levels, of which 1 is left in 8 bits
     """
-    if before.dtype == np.uint8 and value_range is None:
+    if original.dtype == np.uint8 and value_range is None:
         return None
-    colors = before[..., :3] if before.ndim == 3 else before
+    colors = original[..., :3] if original.ndim == 3 else original
     finite = colors[np.isfinite(colors)] if colors.dtype.kind == "f" else colors
     if finite.size == 0:
         return "no value of the first frame is a finite number"
-    found = f"{text_of(finite.min())}..{text_of(finite.max())}"
+    extent = f"{text_of(finite.min())}..{text_of(finite.max())}"
     if value_range is not None:
         clipped = float(np.mean((finite < value_range[0]) | (finite > value_range[1])))
         if clipped > MOST_CLIPPED:
             return (
                 f"{100 * clipped:.0f} % of the values of the first frame lie outside of the range "
                 f"{text_of(value_range[0])}..{text_of(value_range[1])} and become black or white: "
-                f"they lie in {found}"
+                f"they lie in {extent}"
             )
-    levels, left = len(np.unique(finite)), len(np.unique(after))
-    if left > FEW_LEVELS or levels < 2 * left or levels == 1:
+    levels, remaining = len(np.unique(finite)), len(np.unique(converted))
+    if remaining > FEW_LEVELS or levels < 2 * remaining or levels == 1:
         return None
     return (
-        f"the values of the first frame lie in {found}, {levels} levels, of which {left} "
-        f"{'is' if left == 1 else 'are'} left in 8 bits; give the range that counts: "
+        f"the values of the first frame lie in {extent}, {levels} levels, of which {remaining} "
+        f"{'is' if remaining == 1 else 'are'} left in 8 bits; give the range that counts: "
         f"{flag_of(middle_of(finite))}"
     )

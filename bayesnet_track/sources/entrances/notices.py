@@ -36,7 +36,7 @@ def notice(text: str) -> None:
 @contextmanager
 def heard(hear: Callable[[str], object]) -> Iterator[None]:
     """Hand each notice given inside to `hear`, once for each text, instead of warning of it."""
-    said: set[str] = set()
+    delivered: set[str] = set()
     former = warnings.showwarning
 
     def show(
@@ -49,8 +49,8 @@ def heard(hear: Callable[[str], object]) -> Iterator[None]:
     ) -> None:
         if not issubclass(category, HEARD):
             former(message, category, filename, lineno, file, line)
-        elif str(message) not in said:
-            said.add(str(message))
+        elif str(message) not in delivered:
+            delivered.add(str(message))
             hear(str(message))
 
     with warnings.catch_warnings():
@@ -68,5 +68,5 @@ def few(values: Sequence[object]) -> str:
     >>> few(range(100))
     '0, 1, 2, 3, 4 and 95 more'
     """
-    shown = ", ".join(map(str, values[:SHOWN]))
-    return shown if len(values) <= SHOWN else f"{shown} and {len(values) - SHOWN} more"
+    text = ", ".join(map(str, values[:SHOWN]))
+    return text if len(values) <= SHOWN else f"{text} and {len(values) - SHOWN} more"

@@ -21,7 +21,7 @@ _YOLO = re.compile(r"\d{1,5}( [01]?\.\d+(e-?\d+)?){4,5}( \d+)?$", re.ASCII)
 
 
 def explain_foreign(text: str) -> str | None:
-    """What a text is that holds no lines of boxes, and what takes it; None where that is not known.
+    """Format of a text that holds no lines of boxes, and what takes it; None where that is not known.
 
     >>> explain_foreign("<annotations><version>1.1</version></annotations>")
     "XML of CVAT's annotations; `annotate --import` reads it"
@@ -47,7 +47,7 @@ def _explain_json_text(text: str) -> str | None:
 
 
 def explain_json(content: Any) -> str | None:
-    """As `explain_foreign`, of the content of a JSON file."""
+    """The same as `explain_foreign`, of the content of a JSON file."""
     first = content[0] if isinstance(content, list) and content else content
     if not isinstance(first, Mapping):
         return None
@@ -109,16 +109,16 @@ def _explain_lines(lines: list[str]) -> str | None:
 def _count(lines: list[str]) -> bool:
     """True if the first numbers grow from line to line, as frames do and classes do not."""
     first = [int(line.split(" ", 1)[0]) for line in lines]
-    return len(first) > 2 and all(one < other for one, other in pairwise(first))
+    return len(first) > 2 and all(earlier < later for earlier, later in pairwise(first))
 
 
 def refuse_foreign(text: str, name: str, is_taken: str = "") -> None:
     """Raise ValueError for a text that is known to be of another format than `is_taken`."""
-    known = explain_foreign(text)
-    if is_taken and known is not None and known.startswith(is_taken):
+    description = explain_foreign(text)
+    if is_taken and description is not None and description.startswith(is_taken):
         return
-    if known is not None:
-        raise ValueError(f"{name}: it is {known}")
+    if description is not None:
+        raise ValueError(f"{name}: it is {description}")
 
 
 SHOWN = 40
@@ -216,16 +216,16 @@ def is_number(word: str) -> bool:
 def explain_word(words: list[str], place: str, expected: str) -> ValueError:
     """The error of the first word that is not a number."""
     wrong = next((word.strip() for word in words if not is_number(word)), "")
-    shown = f"{place}: {wrong[:SHOWN]!r}"
+    excerpt = f"{place}: {wrong[:SHOWN]!r}"
     parts = wrong.replace(",", " ").split()
     if "," in wrong and all(map(is_number, parts)):
         return ValueError(
-            f"{shown} has a comma between other separators: a decimal comma (write "
+            f"{excerpt} has a comma between other separators: a decimal comma (write "
             f"{wrong.replace(',', '.')[:SHOWN]}), or two numbers (separate all by the same sign)"
         )
     if len(parts) > 1 and all(map(is_number, parts)):
         return ValueError(
-            f"{shown} is separated by a space, and the line by commas: decimal commas (write points), or "
+            f"{excerpt} is separated by a space, and the line by commas: decimal commas (write points), or "
             "separators (separate all by the same sign)"
         )
-    return ValueError(f"{shown} is not a number; expected {expected}")
+    return ValueError(f"{excerpt} is not a number; expected {expected}")

@@ -70,8 +70,8 @@ def make_scene(name: str, seed: int = 0) -> Scene:
         ValueError: no such scene, or a negative seed.
     """
     if name not in _SCENES:
-        near = get_close_matches(name, _SCENES, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        suggestions = get_close_matches(name, _SCENES, n=1)
+        hint = f"; did you mean {suggestions[0]}?" if suggestions else ""
         raise ValueError(f"no scene is called {name!r}; there are {', '.join(_SCENES)}{hint}")
     if seed < 0:
         raise ValueError(f"a seed is 0 or more, not {seed}")
@@ -105,8 +105,8 @@ class SceneSource:
     @property
     def expected_frames(self) -> int:
         """Number of frames."""
-        whole = len(self.scene.frames)
-        return whole if self.end is None else min(self.end, whole)
+        total = len(self.scene.frames)
+        return total if self.end is None else min(self.end, total)
 
     @property
     def width(self) -> int:

@@ -44,21 +44,21 @@ def carried_box(seed: int = 0) -> Scene:
     """
     rng = np.random.Generator(np.random.Philox(seed))
     stands, side = rng.uniform(95.0, 115.0), 30.0
-    there = stands - side + rng.uniform(15.0, 25.0)
-    far, back = there + rng.uniform(70.0, 95.0), rng.uniform(20.0, 40.0)
+    begin = stands - side + rng.uniform(15.0, 25.0)
+    end, back = begin + rng.uniform(70.0, 95.0), rng.uniform(20.0, 40.0)
     turn = int(rng.integers(78, 88))
-    at = np.arange(FRAMES, dtype=np.float64)
-    places = [stands - side - 50.0, stands - side, stands - side, there, far, far - back, far - back, 60.0]
-    person_x = np.interp(at, [0, PICKED - 4, PICKED + 4, BEHIND - 4, turn, SHOWN, PUT + 4, FRAMES], places)
-    person_y = np.full(FRAMES, 150.0) + 2.0 * np.sin(2 * np.pi * at / 14)
+    time = np.arange(FRAMES, dtype=np.float64)
+    places = [stands - side - 50.0, stands - side, stands - side, begin, end, end - back, end - back, 60.0]
+    person_x = np.interp(time, [0, PICKED - 4, PICKED + 4, BEHIND - 4, turn, SHOWN, PUT + 4, FRAMES], places)
+    person_y = np.full(FRAMES, 150.0) + 2.0 * np.sin(2 * np.pi * time / 14)
     floor = 150.0 + PERSON[1] / 2 - BOX[1] / 2
     aside = np.interp(
-        at, [PICKED, BEHIND - 16, BEHIND, SHOWN - 1, SHOWN + 16, PUT], [side, side, 0, 0, side, side]
+        time, [PICKED, BEHIND - 16, BEHIND, SHOWN - 1, SHOWN + 16, PUT], [side, side, 0, 0, side, side]
     )
-    lifted = np.interp(at, [PICKED, PICKED + 16, PUT - 16, PUT], [0.0, 1.0, 1.0, 0.0])
-    held = np.column_stack([person_x + aside, floor * (1 - lifted) + (person_y + 8.0) * lifted])
-    held[:PICKED], held[PUT:] = held[PICKED], held[PUT]
-    box = np.column_stack([held, np.tile(BOX, (FRAMES, 1))])
+    lifted = np.interp(time, [PICKED, PICKED + 16, PUT - 16, PUT], [0.0, 1.0, 1.0, 0.0])
+    carried = np.column_stack([person_x + aside, floor * (1 - lifted) + (person_y + 8.0) * lifted])
+    carried[:PICKED], carried[PUT:] = carried[PICKED], carried[PUT]
+    box = np.column_stack([carried, np.tile(BOX, (FRAMES, 1))])
     person = np.column_stack([person_x, person_y, np.tile(PERSON, (FRAMES, 1))])
     background = smooth_background(CARRYING_WIDTH, CARRYING_HEIGHT, 100.0, 12.0, rng)
     sprites = (
@@ -125,12 +125,12 @@ def _walk(frames: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """(n,) x and y of the person's centre: behind the counter to and fro, then on to the right."""
     turns = rng.uniform(-10.0, 10.0, 2)
     when = np.array([0.0, 36.0, 52.0, 66.0, 92.0, 108.0, 118.0, 150.0]) / 150.0 * frames
-    where = [30.0, 128.0 + turns[0], 92.0 + turns[1] / 2, 124.0, 196.0, 258.0, 262.0, 332.0]
-    at = np.arange(frames, dtype=np.float64)
+    places = [30.0, 128.0 + turns[0], 92.0 + turns[1] / 2, 124.0, 196.0, 258.0, 262.0, 332.0]
+    time = np.arange(frames, dtype=np.float64)
     # Corners of the way are rounded over 5 frames: nobody turns at once.
-    near = [np.interp(at + step, when, where) for step in (-2.0, -1.0, 0.0, 1.0, 2.0)]
-    bob = 2.5 * np.sin(2 * np.pi * at / 14.0 + rng.uniform(0.0, 2 * np.pi))
-    return np.mean(near, axis=0), 132.0 + bob
+    rounded = [np.interp(time + step, when, places) for step in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+    bob = 2.5 * np.sin(2 * np.pi * time / 14.0 + rng.uniform(0.0, 2 * np.pi))
+    return np.mean(rounded, axis=0), 132.0 + bob
 
 
 def _in(body: Floats, part: tuple[float, float, float, float]) -> Floats:
@@ -196,12 +196,12 @@ def person_and_board(seed: int = 0, frames: int = 120) -> Scene:
     time = np.arange(frames, dtype=np.float64)
     size = np.full((frames, 2), (40.0, 96.0))
     walker = np.column_stack([30.0 + 2.2 * time, np.full(frames, 130.0), size])
-    ahead = walker[:, 0] + 48.0 + 2.2 * np.maximum(30.0 - time, 0.0)
-    board = np.column_stack([ahead, 130.0 - 4.0 * np.maximum(time - 30.0, 0.0), size])
+    board_x = walker[:, 0] + 48.0 + 2.2 * np.maximum(30.0 - time, 0.0)
+    board = np.column_stack([board_x, 130.0 - 4.0 * np.maximum(time - 30.0, 0.0), size])
     light = np.tile([211.0, 128.0, 106.0, 150.0], (frames, 1))
     sprites = (Sprite(flat(GLARE), light), Sprite(flat(CLOTHES), board), *person(walker))
     background = smooth_background(BOARD_WIDTH, BOARD_HEIGHT, 90.0, 12.0, rng)
-    inside = np.clip(
+    visible = np.clip(
         (np.minimum(walker[:, 0] + 20, BOARD_WIDTH - 0.5) - (walker[:, 0] - 20)) / 40.0, 0.0, 1.0
     )
     return Scene(
@@ -211,7 +211,7 @@ def person_and_board(seed: int = 0, frames: int = 120) -> Scene:
         Movie(background, sprites, 4.0, seed),
         corner_from_centre(walker),
         (corner_from_centre(board),),
-        inside,
+        visible,
     )
 
 
@@ -233,9 +233,9 @@ COLOURS = (
 def street_camera() -> Camera:
     """The camera: 6 m above the pavement, looking along the street, 35 degrees towards it and 14 down."""
     turn, tilt = np.deg2rad(35.0), np.deg2rad(14.0)
-    ahead = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), -np.sin(tilt)])
+    forward = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), -np.sin(tilt)])
     right = np.array([np.sin(turn), -np.cos(turn), 0.0])
-    rotation = np.array([right, np.cross(ahead, right), ahead])
+    rotation = np.array([right, np.cross(forward, right), forward])
     matrix = np.array([[480.0, 0, 320.0], [0, 480.0, 180.0], [0, 0, 1]])
     centre = np.array([0.0, 0.0, CAMERA_HEIGHT_M])
     return Camera(matrix, np.zeros(0), rotation, -rotation @ centre, (WIDTH, HEIGHT))
@@ -252,37 +252,38 @@ def street(seed: int = 0, frames: int = 300) -> Scene:
     along = starts[:, None] + speeds[:, None] * t
     braking = np.maximum(t - 5.0, 0.0)
     along[1] -= 0.5 * 1.5 * np.minimum(braking, 4.0) ** 2 + 6.0 * np.maximum(braking - 4.0, 0.0)
-    across = lanes[:, None] + 0.15 * np.sin(0.7 * t + rng.uniform(0, 6, 5)[:, None])
+    lateral = lanes[:, None] + 0.15 * np.sin(0.7 * t + rng.uniform(0, 6, 5)[:, None])
     sizes = np.column_stack([rng.uniform(2.2, 2.8, 5), rng.uniform(1.4, 1.6, 5)])
     paths = np.concatenate(
-        [along[..., None], across[..., None], np.broadcast_to(sizes[:, None], (5, frames, 2))], axis=-1
+        [along[..., None], lateral[..., None], np.broadcast_to(sizes[:, None], (5, frames, 2))], axis=-1
     )
     boxes = camera.boxes(paths.reshape(-1, 4)).reshape(5, frames, 4)
     order = np.array([3, 2, 0, 1, 4])  # the farther lane first, and in it the farther car
     sprites = tuple(
         Sprite(shaded_cells(3, 6, COLOURS[car], 0.6, rng), boxes[car], is_round=True) for car in order
     )
-    apart = np.where(np.isnan(boxes), [-1e4, -1e4, 1.0, 1.0], boxes)  # behind the camera: hides nothing
+    # A car behind the camera hides nothing.
+    cars = np.where(np.isnan(boxes), [-1e4, -1e4, 1.0, 1.0], boxes)
     shares = np.array(
         [
-            visible_share(apart[car], tuple(apart[other] for other in order[place + 1 :]), WIDTH, HEIGHT)
+            visible_share(cars[car], tuple(cars[front] for front in order[place + 1 :]), WIDTH, HEIGHT)
             for place, car in enumerate(order)
         ]
     )[np.argsort(order, kind="stable")]
-    seen = (shares > 0.5) & (np.nan_to_num(boxes[..., 3]) > SMALLEST_PX)
-    ground = GroundTruth(camera, paths, seen, _detections(boxes, seen, rng), 1 / FPS)
-    corners = corner_from_centre(apart)
+    visible = (shares > 0.5) & (np.nan_to_num(boxes[..., 3]) > SMALLEST_PX)
+    ground = GroundTruth(camera, paths, visible, _detections(boxes, visible, rng), 1 / FPS)
+    corners = corner_from_centre(cars)
     movie = Movie(_background(camera, rng), sprites, 2.0, seed)
     return Scene("street", WIDTH, HEIGHT, movie, corners[0], tuple(corners[1:]), shares[0], ground=ground)
 
 
-def _detections(boxes: Floats, seen: Bools, rng: np.random.Generator) -> Floats:
+def _detections(boxes: Floats, visible: Bools, rng: np.random.Generator) -> Floats:
     """Rows of a detector: 1.5 px of noise on each edge, 1 in 15 missed, a false one in five frames."""
     rows = []
     for frame in range(boxes.shape[1]):
         for car in range(len(boxes)):
             noise, chance, score = rng.normal(0.0, 1.5, 4), rng.random(), rng.uniform(0.6, 0.95)
-            if not seen[car, frame] or chance < 1 / 15:
+            if not visible[car, frame] or chance < 1 / 15:
                 continue
             x, y, w, h = boxes[car, frame]
             edges = np.array([x - w / 2, y - h / 2, x + w / 2, y + h / 2]) + noise

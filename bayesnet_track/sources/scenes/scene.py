@@ -35,7 +35,7 @@ class StereoView:
     depths_m: tuple[Floats, ...]
 
     def eye(self, index: int) -> RightEye:
-        """What a frame carries of it."""
+        """The right eye of a frame."""
         return RightEye(self.right[index], self.geometry)
 
     def true_depth(self, index: int) -> Floats:
@@ -50,7 +50,7 @@ class StereoView:
 
 @dataclass(frozen=True, eq=False)
 class ScenePart:
-    """Where a part of the target is.
+    """Boxes of a part of the target.
 
     Attributes:
         truth: (n, 4) top-left corner boxes in px; a hidden part keeps its box.
@@ -63,7 +63,7 @@ class ScenePart:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """What happens on the ground of a scene.
+    """Ground truth on the ground of a scene.
 
     Attributes:
         camera: the camera that sees it.
@@ -179,7 +179,7 @@ def visible_share(path: Floats, nearer: tuple[Floats, ...], width: int, height: 
     """(n,) share of each centre box (n, 4) inside the picture and outside every box of `nearer`."""
     return np.array(
         [
-            _visible(box, [other[i] for other in nearer], width, height) / (box[2] * box[3])
+            _visible(box, [occluder[i] for occluder in nearer], width, height) / (box[2] * box[3])
             for i, box in enumerate(path)
         ]
     )
@@ -191,7 +191,7 @@ def _visible(box: Floats, nearer: list[Floats], width: int, height: int) -> floa
     low, high = np.maximum(low, -0.5), np.minimum(high, [width - 0.5, height - 0.5])
     if (high <= low).any():
         return 0.0
-    bounds = [(other[:2] - other[2:] / 2, other[:2] + other[2:] / 2) for other in nearer]
+    bounds = [(occluder[:2] - occluder[2:] / 2, occluder[:2] + occluder[2:] / 2) for occluder in nearer]
     cuts = [
         np.unique(np.clip([low[k], high[k], *(edge[k] for pair in bounds for edge in pair)], low[k], high[k]))
         for k in (0, 1)
@@ -199,8 +199,8 @@ def _visible(box: Floats, nearer: list[Floats], width: int, height: int) -> floa
     middle = [(cut[1:] + cut[:-1]) / 2 for cut in cuts]
     open_ = np.ones((len(middle[0]), len(middle[1])), dtype=bool)
     for start, end in bounds:
-        inside = [(middle[k] > start[k]) & (middle[k] < end[k]) for k in (0, 1)]
-        open_ &= ~np.outer(*inside)
+        covered = [(middle[k] > start[k]) & (middle[k] < end[k]) for k in (0, 1)]
+        open_ &= ~np.outer(*covered)
     return float(np.diff(cuts[0]) @ open_ @ np.diff(cuts[1]))
 
 
@@ -222,10 +222,10 @@ def smooth_background(
 
 def _between(pixels: int, cell: int) -> Floats:
     """(grid points, pixels) bilinear weights."""
-    at, share = np.divmod(np.arange(pixels), cell)
+    cell_index, share = np.divmod(np.arange(pixels), cell)
     weights = np.zeros((pixels // cell + 2, pixels))
-    weights[at, np.arange(pixels)] = 1.0 - share / cell
-    weights[at + 1, np.arange(pixels)] += share / cell
+    weights[cell_index, np.arange(pixels)] = 1.0 - share / cell
+    weights[cell_index + 1, np.arange(pixels)] += share / cell
     return weights
 
 
@@ -279,7 +279,7 @@ class Veil:
 
 
 def coverage(centre: float, size: float, cells: int, pixels: int) -> tuple[int, Floats]:
-    """How much of each pixel each cell of a segment covers.
+    """Length of each pixel that each cell of a segment covers.
 
     The segment [centre - size/2, centre + size/2] is cut into `cells` equal parts; pixel i spans
     [i - 0.5, i + 0.5]. Returns the first pixel touched and a matrix (pixels touched, cells) of covered
@@ -291,8 +291,8 @@ def coverage(centre: float, size: float, cells: int, pixels: int) -> tuple[int, 
     """
     edges = centre - size / 2 + size * np.arange(cells + 1) / cells
     first = min(max(int(np.floor(edges[0] + 0.5)), 0), pixels)
-    last = min(max(int(np.ceil(edges[-1] + 0.5)), first), pixels)
-    left = np.arange(first, last)[:, None] - 0.5
+    end = min(max(int(np.ceil(edges[-1] + 0.5)), first), pixels)
+    left = np.arange(first, end)[:, None] - 0.5
     covered = np.minimum(edges[1:], left + 1.0) - np.maximum(edges[:-1], left)
     return first, np.clip(covered, 0.0, None)
 
@@ -303,19 +303,19 @@ def paint(canvas: Floats, sprite: Sprite, index: int) -> None:
     if np.isnan(x):
         return
     rows, columns = sprite.cells.shape[:2]
-    top, down = coverage(y, h, rows, canvas.shape[0])
-    left, across = coverage(x, w, columns, canvas.shape[1])
-    covered = np.outer(down.sum(axis=1), across.sum(axis=1))[:, :, None]
-    colour = np.tensordot(np.tensordot(down, sprite.cells, axes=(1, 0)), across, axes=(1, 1)).transpose(
-        0, 2, 1
-    )
-    patch = canvas[top : top + down.shape[0], left : left + across.shape[0]]
+    top, row_cover = coverage(y, h, rows, canvas.shape[0])
+    left, column_cover = coverage(x, w, columns, canvas.shape[1])
+    covered = np.outer(row_cover.sum(axis=1), column_cover.sum(axis=1))[:, :, None]
+    colour = np.tensordot(
+        np.tensordot(row_cover, sprite.cells, axes=(1, 0)), column_cover, axes=(1, 1)
+    ).transpose(0, 2, 1)
+    patch = canvas[top : top + row_cover.shape[0], left : left + column_cover.shape[0]]
     if sprite.is_round:
-        rows_at = np.arange(top, top + len(down), dtype=np.float64)
-        columns_at = np.arange(left, left + len(across), dtype=np.float64)
-        inside = ellipse_share(sprite.path[index], rows_at, columns_at)
-        colour = np.divide(colour, covered, out=colour, where=covered > 0) * inside
-        covered = inside
+        rows_at = np.arange(top, top + len(row_cover), dtype=np.float64)
+        columns_at = np.arange(left, left + len(column_cover), dtype=np.float64)
+        ellipse = ellipse_share(sprite.path[index], rows_at, columns_at)
+        colour = np.divide(colour, covered, out=colour, where=covered > 0) * ellipse
+        covered = ellipse
     patch *= 1.0 - covered
     patch += colour
 
@@ -324,10 +324,10 @@ def ellipse_share(box: Floats, rows: Floats, columns: Floats) -> Floats:
     """(rows, columns, 1) share of each pixel, of 4 x 4 points, inside the ellipse of a centre box (4,)."""
     x, y, w, h = box
     parts = (np.arange(4) + 0.5) / 4 - 0.5
-    down = ((rows[:, None] + parts - y) / (h / 2)) ** 2
-    across = ((columns[:, None] + parts - x) / (w / 2)) ** 2
-    inside = down[:, :, None, None] + across[None, None] <= 1.0
-    return np.asarray(inside.mean(axis=(1, 3))[:, :, None])
+    y_squared = ((rows[:, None] + parts - y) / (h / 2)) ** 2
+    x_squared = ((columns[:, None] + parts - x) / (w / 2)) ** 2
+    is_inside = y_squared[:, :, None, None] + x_squared[None, None] <= 1.0
+    return np.asarray(is_inside.mean(axis=(1, 3))[:, :, None])
 
 
 @cache
@@ -335,8 +335,8 @@ def _noise_table(sd: float) -> NDArray[np.int16]:
     """65536 whole numbers, as often each as a Gaussian rounded to whole numbers has them."""
     limit = int(np.ceil(5 * sd)) + 1
     gauss = NormalDist(0.0, sd)
-    below = np.array([gauss.cdf(k + 0.5) for k in range(-limit, limit)] + [1.0])
-    counts = np.diff(np.rint(below * 65536).astype(np.int64), prepend=0)
+    cumulative = np.array([gauss.cdf(k + 0.5) for k in range(-limit, limit)] + [1.0])
+    counts = np.diff(np.rint(cumulative * 65536).astype(np.int64), prepend=0)
     return np.repeat(np.arange(-limit, limit + 1, dtype=np.int16), counts)
 
 

@@ -26,7 +26,7 @@ WIDTH, HEIGHT, SIDE, NOISE_SD = 320, 240, 40.0, 4.0
 
 @dataclass(frozen=True)
 class TwoSquares:
-    """Where two squares start (centres, px) and how they move (px per frame)."""
+    """Starts (centres, px) and steps (px per frame) of two squares."""
 
     target: Point
     target_step: Point
@@ -60,8 +60,8 @@ def random_geometry(rng: np.random.Generator, frames: int = 200) -> TwoSquares:
         heading, speed = rng.uniform(0.0, 2.0 * np.pi, 2), rng.uniform(2.0, 5.0, 2)
         steps = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
         geometry = TwoSquares(_point(starts[0]), _point(steps[0]), _point(starts[1]), _point(steps[1]))
-        target, other = _paths(geometry, frames)
-        shared = np.prod(np.clip(SIDE - np.abs(target - other)[:, :2], 0.0, None), axis=1) / SIDE**2
+        target, distractor = _paths(geometry, frames)
+        shared = np.prod(np.clip(SIDE - np.abs(target - distractor)[:, :2], 0.0, None), axis=1) / SIDE**2
         if shared[:10].max() == 0 and shared.max() >= 0.5 and shared[-1] == 0:
             return geometry
 
@@ -71,9 +71,9 @@ def two_squares(seed: int = 0, geometry: TwoSquares = STATED, frames: int = 200)
 
     320x240 px, squares of 40 px, noise of sd 4; `seed` governs background and noise only.
     """
-    target, other = _paths(geometry, frames)
+    target, distractor = _paths(geometry, frames)
     background = smooth_background(WIDTH, HEIGHT, 100.0, 12.0, _rng(seed))
-    sprites = (Sprite(flat(ORANGE), other), Sprite(flat(ORANGE), target))
+    sprites = (Sprite(flat(ORANGE), distractor), Sprite(flat(ORANGE), target))
     return assemble("two_squares", background, sprites, target=1, noise_sd=NOISE_SD, seed=seed)
 
 
@@ -146,7 +146,7 @@ def crowd(seed: int = 0, count: int = 10, frames: int = 200) -> Scene:
         inset = np.full(2, (DISC - 1) / 2)
         places = winding(rng, frames, inset, np.array([CROWD_WIDTH, CROWD_HEIGHT]) - 1 - inset, SPEEDS)
         begins = places[:5]
-        if all(np.abs(begins - other[:5, :2]).max(axis=1).min() > DISC + 2 for other in paths):
+        if all(np.abs(begins - earlier[:5, :2]).max(axis=1).min() > DISC + 2 for earlier in paths):
             paths.append(np.column_stack([places, np.full((frames, 2), DISC)]))
             refused = 0
         elif (refused := refused + 1) == REFUSED:
@@ -168,11 +168,11 @@ def winding(
     path = np.empty((frames, 2))
     for frame in range(frames):
         path[frame] = place
-        ahead = speed * np.array([np.cos(heading + turns[frame]), np.sin(heading + turns[frame])])
+        direction = speed * np.array([np.cos(heading + turns[frame]), np.sin(heading + turns[frame])])
         inward = np.clip(low + BORDER - place, 0.0, None) - np.clip(place - high + BORDER, 0.0, None)
-        ahead += inward * (speed / BORDER) * TURN_BACK
-        heading = float(np.arctan2(ahead[1], ahead[0]))
-        place = np.clip(place + speed * ahead / np.linalg.norm(ahead), low, high)
+        direction += inward * (speed / BORDER) * TURN_BACK
+        heading = float(np.arctan2(direction[1], direction[0]))
+        place = np.clip(place + speed * direction / np.linalg.norm(direction), low, high)
     return path
 
 
@@ -294,22 +294,22 @@ def _sway(centre: tuple[float, float], rng: np.random.Generator) -> Floats:
 def _throw(left: Floats, right: Floats) -> Floats:
     """(FRAMES, 2) the ball's path: in a child's hands, or on an arc between them."""
     hands = np.array([24.0, -8.0])
-    held = {True: left + hands, False: right + hands * [-1, 1]}
+    hand_paths = {True: left + hands, False: right + hands * [-1, 1]}
     path, is_left = np.empty((GARDEN_FRAMES, 2)), True
     starts = dict(FLIGHTS)
     frame = 0
     while frame < GARDEN_FRAMES:
         if frame not in starts:
-            path[frame] = held[is_left][frame]
+            path[frame] = hand_paths[is_left][frame]
             frame += 1
             continue
-        last = starts[frame]
-        begin, end = held[is_left][frame - 1], held[not is_left][last + 1]
-        share = np.arange(1, last - frame + 2) / (last - frame + 2)
+        landing = starts[frame]
+        begin, end = hand_paths[is_left][frame - 1], hand_paths[not is_left][landing + 1]
+        share = np.arange(1, landing - frame + 2) / (landing - frame + 2)
         arc = begin + share[:, None] * (end - begin)
         arc[:, 1] -= 4 * 45.0 * share * (1 - share)
-        path[frame : last + 1] = arc
-        is_left, frame = not is_left, last + 1
+        path[frame : landing + 1] = arc
+        is_left, frame = not is_left, landing + 1
     return path
 
 

@@ -65,40 +65,42 @@ class Room:
     cell_m: float
     pane: Pane | None = None
 
-    def seen(self, geometry: StereoGeometry, eye_m: float, width: int, height: int) -> tuple[Floats, Floats]:
+    def render(
+        self, geometry: StereoGeometry, eye_m: float, width: int, height: int
+    ) -> tuple[Floats, Floats]:
         """The picture (H, W, 3) BGR of the eye at x = `eye_m`, and the depth (H, W) in m of its pixels."""
-        at = (np.arange(FINER) + 0.5) / FINER - 0.5
-        columns = (np.arange(width)[:, None] + at).ravel()
-        rows = (np.arange(height)[:, None] + at).ravel()
-        seen, _ = self._rays(geometry, eye_m, columns, rows)
+        offsets = (np.arange(FINER) + 0.5) / FINER - 0.5
+        columns = (np.arange(width)[:, None] + offsets).ravel()
+        rows = (np.arange(height)[:, None] + offsets).ravel()
+        colour, _ = self._rays(geometry, eye_m, columns, rows)
         centres = np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64)
         _, depth = self._rays(geometry, eye_m, *centres)
-        return seen.reshape(height, FINER, width, FINER, 3).mean(axis=(1, 3)), depth
+        return colour.reshape(height, FINER, width, FINER, 3).mean(axis=(1, 3)), depth
 
     def _rays(
         self, geometry: StereoGeometry, eye_m: float, columns: Floats, rows: Floats
     ) -> tuple[Floats, Floats]:
         """Colour (rows, columns, 3) and depth (rows, columns) where each ray ends."""
-        across = (columns - geometry.centre_x_px) / geometry.focal_px
-        down = (rows - geometry.centre_y_px) / geometry.focal_px
+        ray_x = (columns - geometry.centre_x_px) / geometry.focal_px
+        ray_y = (rows - geometry.centre_y_px) / geometry.focal_px
         with np.errstate(divide="ignore"):
-            depth_of_row = np.where(down > 0, self.camera_height_m / down, np.inf)
+            depth_of_row = np.where(ray_y > 0, self.camera_height_m / ray_y, np.inf)
         on_floor = depth_of_row < self.wall_m
-        seen, depth = np.empty((len(rows), len(columns), 3)), np.empty((len(rows), len(columns)))
+        colour, depth = np.empty((len(rows), len(columns), 3)), np.empty((len(rows), len(columns)))
         depth[:] = np.minimum(depth_of_row, self.wall_m)[:, None]
-        x = eye_m + across * depth
-        seen[on_floor] = self._sampled(self.floor, x[on_floor], depth[on_floor])
-        wall = down[~on_floor, None] * np.full(len(columns), self.wall_m)
-        seen[~on_floor] = self._sampled(self.wall, x[~on_floor], wall)
+        x = eye_m + ray_x * depth
+        colour[on_floor] = self._sampled(self.floor, x[on_floor], depth[on_floor])
+        wall = ray_y[~on_floor, None] * np.full(len(columns), self.wall_m)
+        colour[~on_floor] = self._sampled(self.wall, x[~on_floor], wall)
         if self.pane is not None:
             pane = self.pane
-            x = eye_m + across * pane.depth_m
-            before = (x >= pane.left_m) & (x < pane.right_m) & (depth > pane.depth_m)
+            x = eye_m + ray_x * pane.depth_m
+            in_pane = (x >= pane.left_m) & (x < pane.right_m) & (depth > pane.depth_m)
             stripe = np.where(x / pane.period_m % 1.0 < 0.5, *STRIPES)[None, :, None]
-            mixed = pane.opacity * stripe + (1.0 - pane.opacity) * seen
-            seen = np.where(before[..., None], mixed, seen)
-            depth = np.where(before, pane.depth_m, depth)
-        return seen, depth
+            mixed = pane.opacity * stripe + (1.0 - pane.opacity) * colour
+            colour = np.where(in_pane[..., None], mixed, colour)
+            depth = np.where(in_pane, pane.depth_m, depth)
+        return colour, depth
 
     def _sampled(self, texture: Floats, u: Floats, v: Floats) -> Floats:
         """Bilinear values of `texture` at (u, v) in m."""
@@ -135,7 +137,7 @@ class Walker:
     depth_m: Floats
 
     def sprite(self, eye_m: float) -> Sprite:
-        """As the eye at x = `eye_m` sees it."""
+        """The person as the eye at x = `eye_m` sees it."""
         scale = GEOMETRY.focal_px / self.depth_m
         width, height = PERSON_M
         x = GEOMETRY.centre_x_px + (self.x_m - eye_m) * scale
@@ -151,11 +153,11 @@ def person_stereo(seed: int = 0, frames: int = 150) -> Scene:
     """
     rng = _rng(seed)
     room = Room(7.0, CAMERA_HEIGHT_M, room_texture(rng, BROWN), room_texture(rng, BROWN), 0.1)
-    at = np.arange(frames, dtype=np.float64)
-    x = 0.9 * np.sin(2 * np.pi * (at - 20) / 150)
-    target = Walker(clothes(rng, BROWN), x, 4.0 + 0.3 * np.sin(2 * np.pi * at / 110))
-    other = Walker(clothes(rng, GREEN), -2.44 + 0.057 * (at - 60), np.full(frames, 4.1))
-    return room_scene("person_stereo", room, (other, target), 1, seed)
+    time = np.arange(frames, dtype=np.float64)
+    x = 0.9 * np.sin(2 * np.pi * (time - 20) / 150)
+    target = Walker(clothes(rng, BROWN), x, 4.0 + 0.3 * np.sin(2 * np.pi * time / 110))
+    passer = Walker(clothes(rng, GREEN), -2.44 + 0.057 * (time - 60), np.full(frames, 4.1))
+    return room_scene("person_stereo", room, (passer, target), 1, seed)
 
 
 def glass_wall(seed: int = 0, frames: int = 120) -> Scene:
@@ -174,11 +176,11 @@ def glass_wall(seed: int = 0, frames: int = 120) -> Scene:
 def room_scene(name: str, room: Room, walkers: tuple[Walker, ...], target: int, seed: int) -> Scene:
     """People who walk in a room, the nearest last, seen by both eyes; the target is `walkers[target]`."""
     eyes = (0.0, GEOMETRY.baseline_m)
-    (left, depth), (right, _) = (room.seen(GEOMETRY, eye, WIDTH, HEIGHT) for eye in eyes)
-    sprites, others = (tuple(walker.sprite(eye) for walker in walkers) for eye in eyes)
+    (left, depth), (right, _) = (room.render(GEOMETRY, eye, WIDTH, HEIGHT) for eye in eyes)
+    sprites, right_sprites = (tuple(walker.sprite(eye) for walker in walkers) for eye in eyes)
     scene = assemble(name, left, sprites, target, NOISE_SD, seed)
     view = StereoView(
-        right=Movie(right, others, NOISE_SD, seed + (1 << 32)),
+        right=Movie(right, right_sprites, NOISE_SD, seed + (1 << 32)),
         geometry=GEOMETRY,
         background_m=depth,
         paths=tuple(sprite.path for sprite in sprites),
@@ -210,11 +212,11 @@ def person_color_stereo(seed: int = 0, frames: int = 150) -> Scene:
     80, and has left at frame 88.
     """
     rng = np.random.Generator(np.random.Philox(seed))
-    at = np.arange(frames, dtype=np.float64)
-    target = np.interp(at, [0.0, 50.0, 100.0, 150.0], [0.2, 1.1, 1.1, 0.2])
-    other = np.interp(at, [60.0, 66.0, 80.0, 88.0], [2.4, 1.7, 1.7, 2.4])
-    depth = 3.9 + 0.1 * np.sin(2 * np.pi * at / 90)
-    walkers = (Walker(clothes(rng, GREEN), other, depth), Walker(clothes(rng, BROWN), target, depth))
+    time = np.arange(frames, dtype=np.float64)
+    target = np.interp(time, [0.0, 50.0, 100.0, 150.0], [0.2, 1.1, 1.1, 0.2])
+    passer = np.interp(time, [60.0, 66.0, 80.0, 88.0], [2.4, 1.7, 1.7, 2.4])
+    depth = 3.9 + 0.1 * np.sin(2 * np.pi * time / 90)
+    walkers = (Walker(clothes(rng, GREEN), passer, depth), Walker(clothes(rng, BROWN), target, depth))
     return room_scene("person_color_stereo", _room(rng), walkers, 1, seed)
 
 
@@ -225,11 +227,11 @@ def person_same_clothes(seed: int = 0, frames: int = 150) -> Scene:
     goes in the same frames.
     """
     rng = np.random.Generator(np.random.Philox(seed))
-    at = np.arange(frames, dtype=np.float64)
-    target = np.interp(at, [0.0, 50.0, 100.0, 150.0], [0.2, 1.1, 1.1, 0.2])
-    other = np.interp(at, [60.0, 66.0, 80.0, 88.0], [2.64, 1.83, 1.83, 2.64])
+    time = np.arange(frames, dtype=np.float64)
+    target = np.interp(time, [0.0, 50.0, 100.0, 150.0], [0.2, 1.1, 1.1, 0.2])
+    passer = np.interp(time, [60.0, 66.0, 80.0, 88.0], [2.64, 1.83, 1.83, 2.64])
     walkers = (
-        Walker(clothes(rng, GREEN), other, np.full(frames, 4.3)),
+        Walker(clothes(rng, GREEN), passer, np.full(frames, 4.3)),
         Walker(clothes(rng, GREEN), target, np.full(frames, 3.9)),
     )
     return room_scene("person_same_clothes", _room(rng), walkers, 1, seed)
@@ -246,18 +248,18 @@ def person_same_clothes_nearer(seed: int = 0, frames: int = 150) -> Scene:
     """
     rng = np.random.Generator(np.random.Philox(seed))
     room = _room(rng)
-    aside, near, comes = rng.uniform(0.4, 0.6), rng.uniform(2.9, 3.3), rng.uniform(64.0, 74.0)
+    aside, passer_depth, comes = rng.uniform(0.4, 0.6), rng.uniform(2.9, 3.3), rng.uniform(64.0, 74.0)
     leaves = comes + rng.uniform(8.0, 12.0)
-    at = np.arange(frames, dtype=np.float64)
-    far = np.full(frames, 3.9)
-    target = np.interp(at, [0.0, 50.0, 100.0, 150.0], [-0.9, 0.1, 0.1, -0.9])
-    stands = (0.1 + aside) * near / far[0]  # `aside` as seen at the target's distance
-    outside = (WIDTH / 2 + 30.0) * near / GEOMETRY.focal_px
-    walk = (outside - stands) / 0.1
-    other = np.interp(at, [comes - walk, comes, leaves, leaves + walk], [outside, stands, stands, outside])
+    time = np.arange(frames, dtype=np.float64)
+    target_depth = np.full(frames, 3.9)
+    target = np.interp(time, [0.0, 50.0, 100.0, 150.0], [-0.9, 0.1, 0.1, -0.9])
+    stands = (0.1 + aside) * passer_depth / target_depth[0]  # `aside` as seen at the target's distance
+    entry_x = (WIDTH / 2 + 30.0) * passer_depth / GEOMETRY.focal_px
+    walk = (entry_x - stands) / 0.1
+    passer = np.interp(time, [comes - walk, comes, leaves, leaves + walk], [entry_x, stands, stands, entry_x])
     walkers = (
-        Walker(clothes(rng, GREEN), target, far),
-        Walker(clothes(rng, GREEN), other, np.full(frames, near)),
+        Walker(clothes(rng, GREEN), target, target_depth),
+        Walker(clothes(rng, GREEN), passer, np.full(frames, passer_depth)),
     )
     return room_scene("person_same_clothes_nearer", room, walkers, 0, seed)
 
@@ -325,7 +327,7 @@ def two_people_color_stereo_shape(seed: int = 0, frames: int = 120) -> Scene:
     veils = (
         Veil(
             _light(GLARE, (columns - 175) / 15),
-            _during([*((at, at + 1) for at in FLICKERS), GLARE_FRAMES], frames),
+            _during([*((frame, frame + 1) for frame in FLICKERS), GLARE_FRAMES], frames),
             1,
         ),
         Veil(
@@ -336,7 +338,7 @@ def two_people_color_stereo_shape(seed: int = 0, frames: int = 120) -> Scene:
     )
 
     def movie(eye_m: float, noise: int) -> tuple[Movie, Floats]:
-        background, depth = room.seen(GEOMETRY, eye_m, WIDTH, HEIGHT)
+        background, depth = room.render(GEOMETRY, eye_m, WIDTH, HEIGHT)
         people = (*dress(right.path(eye_m), tan), *dress(left.path(eye_m), green))
         return Movie(background, (Sprite(surface, panel.path(eye_m)), *people), NOISE_SD, noise, veils), depth
 
@@ -374,6 +376,6 @@ def _light(colour: Colour, share: Floats) -> Floats:
 def _during(spans: Iterable[tuple[int, int]], frames: int) -> Floats:
     """(n,) 1 from the first to the last frame of each span, 0 elsewhere."""
     strength = np.zeros(frames)
-    for first, last in spans:
-        strength[first : last + 1] = 1.0
+    for first, final in spans:
+        strength[first : final + 1] = 1.0
     return strength

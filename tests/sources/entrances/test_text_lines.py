@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from bayesnet_track.evaluate.truth import parse_truth
 from bayesnet_track.sources.entrances.boxes import are_corners, count_up, refuse_shares
 from bayesnet_track.sources.entrances.text_lines import split_lines, split_words
-from bayesnet_track.sources.mot_lines import LEAST, MOST, parse_mot, whole
+from bayesnet_track.sources.mot_lines import LEAST, MOST, exact_int, parse_mot
 
 ROWS = st.lists(
     st.tuples(
@@ -112,7 +112,7 @@ def test_which_first_line_is_a_header(first, is_header):
     + [(word, None) for word in ("7.5", "nan", "1_0", "٣", "", "1e999999999", "inf")],
 )
 def test_whole_numbers_are_exact(word, number):
-    assert whole(word) == number
+    assert exact_int(word) == number
 
 
 def test_sizes_that_are_small_or_do_not_follow_the_place_are_no_corners():
