@@ -17,6 +17,7 @@ from bayesnet_track.cli.arguments import (
 
 if TYPE_CHECKING:
     from bayesnet_track.graph.checked import CheckedGraph
+    from bayesnet_track.runtime.executors import Executing
     from bayesnet_track.sources.frames import Source
     from bayesnet_track.sources.several import SeveralSources
 
@@ -329,7 +330,9 @@ def given_once_or_named(option: str, given: Sequence[str] | str | None, graph: C
     return named
 
 
-def open_cameras_given(options: argparse.Namespace, graph: CheckedGraph) -> SeveralSources:
+def open_cameras_given(
+    options: argparse.Namespace, graph: CheckedGraph, executing: Executing
+) -> SeveralSources:
     """The sources of several cameras, or their detections alone, merged by time; raises UsageError."""
     from bayesnet_track.runtime.several_cameras import open_cameras
 
@@ -339,7 +342,7 @@ def open_cameras_given(options: argparse.Namespace, graph: CheckedGraph) -> Seve
             raise UsageError(f"{name} is of one image, and the graph {graph.spec.name} has several cameras")
     how = {name: getattr(options, name) for name in ("allow_network", "on_resize", "stride", "value_range")}
     how |= {"start": options.start or None, "end": options.end}
-    return open_cameras(graph, options.source, options.detections, **how)
+    return open_cameras(graph, options.source, options.detections, executing, **how)
 
 
 def say_size(options: argparse.Namespace, source: Source) -> None:

@@ -110,8 +110,9 @@ def _unused_by_cues(graph: CheckedGraph, frames: range) -> Iterator[str]:
 
 def frames_of(source: FrameSource | None) -> range:
     """Numbers of the frames that a source gives; up to `sys.maxsize` where it does not say."""
-    if isinstance(source, Source):
-        return source.numbers
+    numbers: range | None = getattr(source, "numbers", None)
+    if numbers is not None:
+        return numbers
     expected = None if source is None else source.expected_frames
     return range(maxsize if expected is None else expected)
 
@@ -263,7 +264,7 @@ def place_cues(
     waits = budget_ms is None and not getattr(source, "is_live", False)
     if executing.hosts != "engine" and budget_ms is not None:
         raise PlacingError("hosts of cameras beside a budget: a frame of each is waited for")
-    return stack.enter_context(executing).engine(engine, RETRIES if waits else 0, source)
+    return stack.enter_context(executing).engine(engine, RETRIES if waits else 0)
 
 
 def prepare_engine(

@@ -214,8 +214,9 @@ def track(
         }
         named: Any = detections
         own: Any = source if checked.several_cameras else source_or_times(cast(Any, source), checked, named)
+        executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         if checked.several_cameras and not isinstance(own, SeveralSources):
-            opened: FrameSource = stack.enter_context(open_cameras(checked, own, named, **how))
+            opened: FrameSource = stack.enter_context(open_cameras(checked, own, named, executing, **how))
         elif isinstance(own, str | PathLike):
             opened = stack.enter_context(open_source(str(own), **how))
         elif stride != 1 or live is not None or value_range is not None:
@@ -255,7 +256,6 @@ def track(
                 given.append(read_frames)
         say_unused_by_cues(seen, opened)
         check_depth(engine, opened)
-        executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         if video and executing.hosts != "engine":
             raise ValueError(
                 "an annotated video beside hosts of cameras, which keep the pixels; leave one out"

@@ -20,9 +20,11 @@ from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.messages import nearest
 from bayesnet_track.observation.detector import GIVEN, Scan, of_camera
 from bayesnet_track.observation.planes import Frame
+from bayesnet_track.runtime.executors import Executing
 from bayesnet_track.runtime.frame_clock import Fed
 from bayesnet_track.runtime.given_scans import GivenDetections, read_given
 from bayesnet_track.runtime.results import FrameSource
+from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.several import SeveralSources
 
 Size = tuple[int, int]
@@ -183,13 +185,12 @@ def open_cameras(
     graph: CheckedGraph,
     sources: Any,
     detections: Any,
-    start: int | None = None,
-    end: int | None = None,
+    executing: Executing | None = None,
     **how: Any,
 ) -> SeveralSources:
-    """The sources of a graph's cameras, each by name, merged by time.
+    """The sources of a graph's cameras, each by name, merged by time, and opened where `executing` says.
 
-    `start` and `end` are steps, `end` exclusive; `how` is as of `open_source`.
+    `how` is as of `open_source`, `start` and `end` of it are steps.
 
     Of a camera without a source its detections stand for the frames.
 
@@ -198,7 +199,7 @@ def open_cameras(
         StartError: one has another size than its camera was calibrated in.
         TypeError, ValueError: as of `check_named`; or a camera has neither source nor detections.
     """
-    from bayesnet_track.sources.paths import SourceError
+    from bayesnet_track.sources.paths import SourceError, shown_address
     from bayesnet_track.sources.sources import open_source
 
     check_named(graph, sources, detections)
@@ -219,14 +220,17 @@ def open_cameras(
                 "a source of its own for each camera",
                 "give each camera once",
             )
-    merged = SeveralSources.opened(
-        {
-            camera: partial(open_source, str(files[camera]), size=size, **how)
-            for camera, size in graph.several_cameras.items()
-        },
-        start,
-        end,
-    )
+    start, end = how.pop("start", None), how.pop("end", None)
+    openers: dict[str, Any] = {}
+    for camera, size in graph.several_cameras.items():
+        text = str(files[camera])
+        if executing is None or executing.hosts == "engine":
+            openers[camera] = partial(open_source, text, size=size, **how)
+        else:
+            told = {name: value for name, value in how.items() if name != "live"}
+            origin = Origin("plain", text, shown_address(text), size=size, **told)
+            openers[camera] = partial(executing.open_camera, camera, origin)
+    merged = SeveralSources.opened(openers, start, end)
     with ExitStack() as stack:
         stack.callback(merged.close)
         check_sizes(graph, {camera: (one.width, one.height) for camera, one in merged.sources.items()})

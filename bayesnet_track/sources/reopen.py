@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.origin import Origin
@@ -12,9 +14,14 @@ from bayesnet_track.sources.several import SeveralSources
 from bayesnet_track.sources.sources import open_source
 from bayesnet_track.sources.stereo_source import open_stereo_source
 
+OpenCamera = Callable[[str, Origin], Any]
+"""Opens the source of one of several cameras, by its name and how it was opened before."""
 
-def reopen(origin: Origin) -> Source | SceneSource | SeveralSources:
+
+def reopen(origin: Origin, open_camera: OpenCamera | None = None) -> Source | SceneSource | SeveralSources:
     """The source from its first frame on; its paths where they were, or else as given.
+
+    Each of several cameras is opened by `open_camera`, if it is given.
 
     Raises:
         SourceError: it can only be read once, or no longer.
@@ -28,7 +35,10 @@ def reopen(origin: Origin) -> Source | SceneSource | SeveralSources:
         return SceneSource.named(origin.text, origin.seed, origin.end)
     if origin.cameras:
         return SeveralSources.opened(
-            {camera: partial(reopen, part) for camera, part in origin.cameras.items()},
+            {
+                camera: partial(reopen, part) if open_camera is None else partial(open_camera, camera, part)
+                for camera, part in origin.cameras.items()
+            },
             origin.start,
             origin.end,
         )

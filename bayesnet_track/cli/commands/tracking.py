@@ -244,7 +244,8 @@ def run(options: argparse.Namespace) -> int:
     options.source = given_once_or_named("--source", options.source, graph)
     options.detections = given_once_or_named("--detections", options.detections, graph)
     if graph.several_cameras:
-        with users_mistake(), open_cameras_given(options, graph) as cameras:
+        options.executing = executor_of(options)
+        with users_mistake(), open_cameras_given(options, graph, options.executing) as cameras:
             return track_source(options, graph, cameras, [], out, video=options.video)
     with users_mistake():
         options.source = str(source_or_times(options.source, graph, options.detections))
@@ -306,7 +307,7 @@ def track_source(
                 all_hypotheses=getattr(options, "all_hypotheses", False),
                 tracks_csv=getattr(options, "tracks_csv", False),
                 horizon=getattr(options, "horizon", 0),
-                executor=executor_of(options),
+                executor=getattr(options, "executing", None) or executor_of(options),
                 sinks=[
                     *sinks,
                     *([] if view is None else [view]),

@@ -37,6 +37,7 @@ from bayesnet_track.sources.origin import Origin
 if TYPE_CHECKING:
     from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.sources.frames import Source
+    from bayesnet_track.sources.reopen import OpenCamera
     from bayesnet_track.sources.scenes.library import SceneSource
     from bayesnet_track.sources.several import SeveralSources
 
@@ -285,8 +286,8 @@ class Recipe:
             ) from None
         return recipe
 
-    def open_source(self) -> Source | SceneSource | SeveralSources:
-        """The same source again, from its first frame on.
+    def open_source(self, open_camera: OpenCamera | None = None) -> Source | SceneSource | SeveralSources:
+        """The same source again, from its first frame on; each of several cameras by `open_camera`.
 
         Raises:
             SourceError: it could be read only once, or it is gone.
@@ -294,7 +295,7 @@ class Recipe:
         """
         from bayesnet_track.sources.reopen import reopen
 
-        return reopen(self.origin)
+        return reopen(self.origin, open_camera)
 
     def read_masks(self) -> dict[str, Mask]:
         """Images of the graph's factors as they are now, by their paths in it; without what is gone."""
@@ -316,9 +317,9 @@ class Recipe:
         return found
 
     @contextmanager
-    def opened(self) -> Iterator[FrameSource]:
-        """The same source again, let go of at the end; raises as `open_source`."""
-        source = self.open_source()
+    def opened(self, open_camera: OpenCamera | None = None) -> Iterator[FrameSource]:
+        """The same source again, let go of at the end; as `open_source`."""
+        source = self.open_source(open_camera)
         try:
             yield source
         finally:

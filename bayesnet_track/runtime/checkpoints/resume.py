@@ -140,10 +140,13 @@ def resume(
         check_steady = stack.enter_context(steady([file.place for file in read_whole if file is not None]))
         check_files(recipe)
         graph = recipe.load_graph(directory, cues)
-        check_same(recipe, source, motion)
+        executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
+        at_hosts = executing.hosts != "engine" and bool(recipe.origin.cameras)
+        check_same(recipe, source, motion, at_hosts)
         checkpoint = _checkpoint(directory, say)
         moves = _permit_move(recipe, checkpoint, allow_other_machine, say)
-        opened = stack.enter_context(recipe.opened()) if source is None else source
+        open_camera = executing.open_camera if at_hosts else None
+        opened = stack.enter_context(recipe.opened(open_camera)) if source is None else source
         resizing = resizing_of(opened, recipe.max_side)
         seen = resizing.graph(graph)
         detection_files = recipe.detection_files
@@ -153,7 +156,6 @@ def resume(
         }
         engine = prepare_engine(seen, recipe.seed, motion, by_engine_names(detectors))
         check_depth(engine, opened)
-        executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
         budget_ms = recipe.budget_ms
         engine = place_cues(stack, executing, engine, opened, budget_ms)
         asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs

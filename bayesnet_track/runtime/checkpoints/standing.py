@@ -90,8 +90,13 @@ class ResumeError(ValueError):
     """A run that cannot go on: it, its source or this program is another than it was."""
 
 
-def check_same(recipe: Recipe, source: FrameSource | None, motion: MotionModel | None) -> None:
-    """Refuse another version, another source, other files; raises ResumeError, OSError, SourceError."""
+def check_same(
+    recipe: Recipe, source: FrameSource | None, motion: MotionModel | None, at_hosts: bool
+) -> None:
+    """Refuse another version, another source, other files; raises ResumeError, OSError, SourceError.
+
+    What a source `at_hosts` is, they say when it is opened.
+    """
     if recipe.own_motion and motion is None:
         raise ResumeError("it was tracked with a motion model of one's own: give it again, in Python")
     if recipe.origin.only_once is not None:
@@ -101,7 +106,7 @@ def check_same(recipe: Recipe, source: FrameSource | None, motion: MotionModel |
             raise ResumeError(f"its video cannot be drawn again: {recipe.origin.only_once}")
     files = (*recipe.detection_files.values(), recipe.inputs)
     given = [file.changes for file in files if file is not None]
-    _refuse_changes([recipe.origin.changes, *given] if source is None else given)
+    _refuse_changes([recipe.origin.changes, *given] if source is None and not at_hosts else given)
 
 
 def check_files(recipe: Recipe) -> None:

@@ -16,17 +16,18 @@ import tempfile
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Depth, Frame, PointMap, RightEye, StereoGeometry
-from bayesnet_track.observation.settings import setting
+from bayesnet_track.observation.settings import by_command_line, setting
 from bayesnet_track.runtime.executors.messages import Call
-from bayesnet_track.sources.frames import EndReason, Source, SourceItem
+from bayesnet_track.sources.entrances.notices import heard, notice
+from bayesnet_track.sources.frames import EndReason, SourceItem
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import SourceError
 
@@ -217,6 +218,22 @@ class StreamSettings:
 
     name: str
     origin: Origin
+    is_command: bool
+
+
+HEADER = (
+    *("description", "width", "height", "has_color", "has_depth", "frame_interval_s", "is_live", "stride"),
+    *("declared_frames", "expected_frames", "numbers"),
+)
+"""Attributes of an opened source that the engine is told."""
+
+
+class HostedOrigin(Origin):
+    """The origin of a source that is read elsewhere, with the fingerprints of its files there."""
+
+    def marked(self) -> Origin:
+        """The same; no file is read here."""
+        return Origin(**vars(self))
 
 
 class CameraStream:
@@ -226,7 +243,26 @@ class CameraStream:
 
     def __init__(self, settings: StreamSettings) -> None:
         self._settings = settings
-        self._open()
+        self._frames: deque[Frame] = deque(maxlen=HELD)
+        self._items: Iterator[SourceItem] | None = None
+
+    def open(self) -> tuple[dict[str, Any], Origin, list[str]] | tuple[str, ...]:
+        """Attributes of the opened source (`HEADER`), its origin with fingerprints, and notices about it.
+
+        One that cannot be opened, or is not what its origin says, as the parts of a `SourceError`.
+        """
+        origin, notices = self._settings.origin, list[str]()
+        try:
+            changes = "; ".join(origin.changes())
+            if changes:
+                raise SourceError(
+                    origin.text, f"it is not what it was: {changes}", "the same file", "put it back"
+                )
+            with heard(notices.append), by_command_line() if self._settings.is_command else nullcontext():
+                self._open()
+            return {name: getattr(self._source, name) for name in HEADER}, origin.marked(), notices
+        except SourceError as error:
+            return error.given, error.found, error.allowed, error.mend
 
     def read_next(self, number: int) -> tuple[list[Any], EndReason]:
         """The next frame after `number` (-1 before the first) and the events before it; why the source ended.
@@ -235,7 +271,7 @@ class CameraStream:
         """
         self._read_to(number)
         items: list[Any] = []
-        for item in self._items:
+        for item in self._items or ():
             if not isinstance(item, Frame):
                 items.append(item)
                 continue
@@ -262,16 +298,17 @@ class CameraStream:
         from bayesnet_track.sources.reopen import reopen
 
         self._source = reopen(self._settings.origin)
-        self._items: Iterator[SourceItem] = iter(self._source)
-        self._frames: deque[Frame] = deque(maxlen=HELD)
+        self._items = iter(self._source)
+        self._frames.clear()
 
     def _hold(self, frame: Frame) -> None:
         self._frames.append(frame)
 
     def _read_to(self, number: int) -> None:
         """Make `number` the last frame that was read: from the first one on, where it was read before."""
-        if self._frames and self._frames[-1].index > number:
+        if self._items is None or (self._frames and self._frames[-1].index > number):
             self._open()
+        assert self._items is not None
         while number >= 0 and not (self._frames and self._frames[-1].index >= number):
             item = next(self._items)
             if isinstance(item, Frame):
@@ -279,34 +316,62 @@ class CameraStream:
 
 
 class HostedSource:
-    """The source of a camera as the engine has it: what it was opened with, and frames without pixels."""
+    """The source of a camera as the engine has it: what its host says of it, and frames without pixels.
 
-    def __init__(self, source: Source, camera: str, ask: Callable[[Call], Any]) -> None:
-        self._source, self._camera, self._ask = source, camera, ask
+    Attributes:
+        numbers: those of its frames, as of a `Source`.
+        origin: how it was opened, and what its files held at the host.
+
+    Raises:
+        SourceError: its host cannot read it, or there is no host.
+    """
+
+    description: str
+    width: int
+    height: int
+    has_color: bool
+    frame_interval_s: float
+    is_live: bool
+    expected_frames: int | None
+    numbers: range
+
+    def __init__(
+        self, camera: str, origin: Origin, ask: Callable[[Call], Any], close: Callable[[], None]
+    ) -> None:
+        self._camera, self._ask, self.close = camera, ask, close
+        self.description = origin.description
         self.end_reason: EndReason = "end_of_source"
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._source, name)
+        opened = self._asked("open")
+        if len(opened) != len(("header", "origin", "notices")):
+            raise SourceError(*opened)
+        header, marked, notices = opened
+        vars(self).update(header)
+        self.origin = HostedOrigin(**vars(marked))
+        for text in notices:
+            notice(text)
 
     def __iter__(self) -> Iterator[SourceItem]:
         number = -1
         while True:
-            try:
-                items, self.end_reason = self._ask(
-                    Call(stream_name(self._camera), "read_next", None, None, (number,))
-                )
-            except AgentUnavailable as error:
-                raise SourceError(
-                    self._source.description,
-                    f"the host of camera {self._camera} gave no frame after {number}: {error}",
-                    "a host that can read the video",
-                    f"use {setting('--hosts', 'engine')}, or resume the run",
-                ) from error
+            items, self.end_reason = self._asked("read_next", number)
             for item in items:
                 yield item.frame() if isinstance(item, HostedFrame) else item
             if not items or not isinstance(items[-1], HostedFrame):
                 return
             number = items[-1].number
+
+    def _asked(self, method: str, *arguments: int) -> Any:
+        """The answer of the host, where frames wait for it."""
+        try:
+            return self._ask(Call(stream_name(self._camera), method, None, None, arguments))
+        except Exception as error:  # of any type: it was raised in another process
+            after = "".join(f" after {number}" for number in arguments)
+            raise SourceError(
+                self.description,
+                f"the host of camera {self._camera} gave no frame{after}: {error}",
+                "a host that can read the video",
+                f"use {setting('--hosts', 'engine')}, or resume the run",
+            ) from error
 
 
 def stream_name(camera: str) -> str:

@@ -37,8 +37,10 @@ from bayesnet_track.runtime.executors.processes import (
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec
 from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
 from bayesnet_track.runtime.stop import has_workers, no_workers
+from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.origin import Origin
-from bayesnet_track.sources.several import SeveralSources
+from bayesnet_track.sources.reopen import reopen
+from bayesnet_track.sources.sources import DETECTION_SUFFIXES
 
 
 def _log_likelihood(self: Placed, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
@@ -166,35 +168,6 @@ def agent_specs(
     return specs
 
 
-def _stream_specs(engine: Engine, cameras: Mapping[str, Origin]) -> dict[str, AgentSpec]:
-    """Name of every stream -> how it is opened at its host."""
-    names = {camera: stream_name(camera) for camera in cameras}
-    return {
-        name: AgentSpec(CameraStream, StreamSettings(name, cameras[camera]), 0.0, name)
-        for camera, name in names.items()
-    }
-
-
-def _origins_of(engine: Engine, source: Any) -> dict[str, Origin]:
-    """Camera with agents that look at its image -> how its source is opened again.
-
-    Raises:
-        PlacingError: there are no such agents, or a source can be read only once.
-    """
-    looking = {camera for compiled in engine.plates.values() for camera in compiled.looking.values()}
-    if not looking or not isinstance(source, SeveralSources):
-        raise PlacingError("hosts are for agents that look at the images of several cameras, and none does")
-    origins: dict[str, Origin] = {}
-    for camera, opened in source.sources.items():
-        origin: Origin | None = getattr(opened, "origin", None)
-        if camera not in looking:
-            continue
-        if origin is None or origin.only_once is not None:
-            raise PlacingError(f"the source of camera {camera} cannot be opened again at a host")
-        origins[camera] = origin
-    return origins
-
-
 def with_proxies(engine: Engine, places: Mapping[tuple[str, str], Place], transport: Transport) -> Engine:
     """The engine with a proxy in place of the cue of every agent that works in a process."""
     sent = SentFrames(transport)
@@ -305,6 +278,7 @@ class Executing:
         self._default, self._places, self._limits = default, places, limits
         self._retries, self._cues = retries, cues
         self._open = ExitStack()
+        self._streams: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         self._open.enter_context(one_thread_inside(opencv=not self._is_serial))
@@ -320,38 +294,69 @@ class Executing:
     def _is_serial(self) -> bool:
         return self.kind == "serial" and self.hosts == "engine"
 
-    def engine(self, engine: Engine, retries: int = RETRIES, source: Any = None) -> Engine:
-        """`engine` with its agents placed, to be run while this is entered; once.
+    def open_camera(self, camera: str, origin: Origin) -> Source | HostedSource:
+        """The source of one of several cameras, opened where it is decoded.
 
-        With hosts in processes the frames of `source` come from them.
+        A file of detections that stands for the frames is read here.
+
+        Raises:
+            SourceError: nothing can be read there.
+            PlacingError: it can be read only once, or there is no host.
+        """
+        if self.hosts == "engine" or Path(origin.text).suffix.lower() in DETECTION_SUFFIXES:
+            opened = reopen(origin)
+            assert isinstance(opened, Source)
+            return opened
+        if origin.only_once is not None:
+            raise PlacingError(f"the source of camera {camera} cannot be opened again at a host")
+        transport = self._transport(RETRIES)
+        name = self._streams[camera] = stream_name(camera)
+        settings = StreamSettings(name, origin, bool(to_caller("command", "")))
+        transport.add({name: AgentSpec(CameraStream, settings, 0.0, name)})
+        try:
+            return HostedSource(camera, origin, transport.ask, transport.close)
+        except NoWorkerError as error:
+            transport.close()
+            raise PlacingError(str(error)) from error
+        except BaseException:
+            transport.close()
+            raise
+
+    def _transport(self, retries: int) -> Processes:
+        """The processes, with none at work yet where there were none; raises PlacingError."""
+        if self.processes is None:
+            if not has_workers():
+                raise PlacingError(no_workers())
+            attempts = retries if self._retries is None else self._retries
+            self.processes = Processes(self.workers, self._limits, attempts)
+        return self.processes
+
+    def engine(self, engine: Engine, retries: int = RETRIES) -> Engine:
+        """`engine` with its agents placed, to be run while this is entered; once.
 
         `retries` holds where the executor was made without a number of its own.
 
         Raises:
             PlacingError: an agent cannot be where it was put.
         """
-        origins = {} if self.hosts == "engine" else _origins_of(engine, source)
-        streams = {camera: stream_name(camera) for camera in origins}
+        looking = {camera for compiled in engine.plates.values() for camera in compiled.looking.values()}
+        if self.hosts != "engine" and not looking & self._streams.keys():
+            raise PlacingError(
+                "hosts are for agents that look at the images of several cameras, and none does"
+            )
         at_hosts: dict[str, Place] = {
             f"{plate}.{agent}": "process"
             for plate, compiled in engine.plates.items()
             for agent, camera in compiled.looking.items()
-            if camera in origins
+            if camera in self._streams
         }
         places = places_of(engine, self._default, {**self._places, **at_hosts}, self._cues)
-        specs = agent_specs(engine, places, self._cues, streams) | _stream_specs(engine, origins)
+        specs = agent_specs(engine, places, self._cues, self._streams)
         if specs:
-            if not has_workers():
-                raise PlacingError(no_workers())
-            attempts = retries if self._retries is None else self._retries
-            transport = self.processes = Processes(specs, self.workers, self._limits, attempts)
+            transport = self._transport(retries)
             self._open.callback(transport.close)
+            transport.add(specs)
             engine = with_proxies(engine, places, transport)
-            if origins:
-                source.sources = {
-                    camera: HostedSource(opened, camera, transport.ask) if camera in origins else opened
-                    for camera, opened in source.sources.items()
-                }
         return engine
 
 

@@ -190,15 +190,11 @@ class Processes:
             worker works on, for this agent alone. None for as long as they take.
     """
 
-    def __init__(
-        self, agents: Mapping[str, AgentSpec], workers: int, limits: Limits, retries: int = 2
-    ) -> None:
-        for agent, spec in agents.items():
-            _check_sendable(agent, spec)
+    def __init__(self, workers: int, limits: Limits, retries: int = 2) -> None:
         self.retries, self.patience = retries, None
         try:
             self._store = FrameStore()
-            self._pool = WorkerPool(agents, workers, limits, self._store.descriptor)
+            self._pool = WorkerPool(workers, limits, self._store.descriptor)
         except OSError as error:
             raise PlacingError(str(NoWorkerError(error.strerror or str(error)))) from error
         self._unsent: list[Pending] = []
@@ -206,6 +202,12 @@ class Processes:
         self._asking = RLock()
 
     patience: WaitBudget | None
+
+    def add(self, agents: Mapping[str, AgentSpec]) -> None:
+        """Take in agents, those that may be anywhere all at once; raises PlacingError."""
+        for agent, spec in agents.items():
+            _check_sendable(agent, spec)
+        self._pool.add(agents)
 
     def send_frame(self, frame: Frame) -> Any:
         """Place the frame in the shared memory; with a new one, agents are placed anew if need be.

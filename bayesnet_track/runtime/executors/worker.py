@@ -121,7 +121,7 @@ class AgentHost:
                 return Foreign(numbers) if isinstance(numbers, str) else numbers
             case "measure":
                 return _measurement(returned)
-            case "read_next":  # of a stream: frames without pixels, and events
+            case "open" | "read_next":  # of a stream: what is known of it, frames without pixels, and events
                 return returned
         if returned is None and question.method == "adapt":
             return None

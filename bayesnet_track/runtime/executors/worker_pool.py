@@ -98,20 +98,33 @@ class WorkerPool:
         frames: descriptor of the frames' memory.
     """
 
-    def __init__(self, agents: Mapping[str, AgentSpec], workers: int, limits: Limits, frames: int) -> None:
-        self._hosts = {spec.stream: Slot() for spec in agents.values() if spec.stream}
-        free = [agent for agent, spec in agents.items() if not spec.stream]
-        self._free = [Slot() for _ in range(min(workers, len(free)))]
-        self.slots = [*self._free, *self._hosts.values()]
-        self._agents, self._limits = agents, limits
+    def __init__(self, workers: int, limits: Limits, frames: int) -> None:
+        self._hosts: dict[str, Slot] = {}
+        self._free: list[Slot] = []
+        self.slots: list[Slot] = []
+        self._agents: dict[str, AgentSpec] = {}
+        self._workers, self._limits = workers, limits
         self._fork_server = ForkServer(frames, limits.memory_mb, limits.answer_s)
-        self._costs = {agent: spec.cost_s for agent, spec in agents.items()}
-        self._spent = dict.fromkeys(agents, 0.0)
-        self._asked_in = dict.fromkeys(agents, 0)
+        self._costs: dict[str, float] = {}
+        self._spent: dict[str, float] = {}
+        self._asked_in: dict[str, int] = {}
         self._slot_of: dict[str, Slot] = {}
         self._frames = 0
         self._is_closed = False
-        self._assign(pack({agent: self._costs[agent] for agent in free}, len(self._free)))
+
+    def add(self, agents: Mapping[str, AgentSpec]) -> None:
+        """Take in agents: each beside its stream; those without one, which come all at once, packed."""
+        free = {agent: spec.cost_s for agent, spec in agents.items() if not spec.stream}
+        new = dict.fromkeys(spec.stream for spec in agents.values() if spec.stream)
+        self._hosts |= {stream: Slot() for stream in new if stream not in self._hosts}
+        self._agents |= agents
+        self._costs |= {agent: spec.cost_s for agent, spec in agents.items()}
+        self._spent |= dict.fromkeys(agents, 0.0)
+        self._asked_in |= dict.fromkeys(agents, 0)
+        if free:
+            self._free = [Slot() for _ in range(min(self._workers, len(free)))]
+            self._assign(pack(free, len(self._free)))
+        self.slots = [*self._free, *self._hosts.values()]
 
     def slot(self, agent: str) -> Slot:
         """The slot of the agent, which is to be asked something."""
