@@ -63,7 +63,7 @@ class Availability:
     @staticmethod
     def of(frame: int, missed: Iterable[AgentMissed]) -> Availability:
         """Those that are known to be missing in `frame`."""
-        return Availability(frame, {(one.target, one.node, one.during): one.reason for one in missed})
+        return Availability(frame, {(miss.target, miss.node, miss.during): miss.reason for miss in missed})
 
     def misses(self, target: str, agent: str, during: str) -> Missing | None:
         """Why the agent cannot be asked; None when it can."""
@@ -107,11 +107,11 @@ class TargetAvailability:
     @property
     def missed(self) -> dict[str, str]:
         """Those that were to be asked, or were found out -> the reason."""
-        asked = (self.target, self.during)
+        occasion = (self.target, self.during)
         return {
             agent: reason
             for (target, agent, during), reason in self.availability.reported.items()
-            if (target, during) == asked
+            if (target, during) == occasion
         }
 
     def note(self, agent: str, missing: Missing) -> None:
@@ -154,15 +154,15 @@ def each_at_once(
     {1: 1, 0: 0, 2: -2}
     """
     waits: dict[Piece, Wait[Made]] = {}
-    here: list[Piece] = []
+    local: list[Piece] = []
     for piece in pieces:
         wait = ask_ahead(piece)
         if wait is None:
-            here.append(piece)
+            local.append(piece)
         else:
             waits[piece] = wait
     return chain(
-        zip(here, map(work, here), strict=True),
+        zip(local, map(work, local), strict=True),
         zip(waits, map(call, waits.values()), strict=True),
     )
 
@@ -172,10 +172,10 @@ def defer_faults(ask: Callable[[], Wait[Made]], faults: tuple[type[BaseException
     try:
         return ask()
     except faults as error:
-        found = error
+        fault = error
 
     def raised() -> Made:
-        raise found
+        raise fault
 
     return raised
 
@@ -197,19 +197,19 @@ def score(
 
     Those of target t are `starts[t]` to `starts[t + 1] - 1`. The cue is given copies that it may write into.
     """
-    own = hypotheses.copied()
+    copies = hypotheses.copied()
     if len(references) > 1 and hasattr(cue, "log_likelihood_of_each"):
         try:
-            values = real_numbers(cue.log_likelihood_of_each(planes, own, starts, _shown(references)))
+            values = real_numbers(cue.log_likelihood_of_each(planes, copies, starts, _shown(references)))
         except FAULTS:  # of whom is found out below
             values = ""
-        if not isinstance(values, str) and values.shape == (len(own),) and _is_usual(values):
+        if not isinstance(values, str) and values.shape == (len(copies),) and _is_usual(values):
             return values, {}
-        own = hypotheses.copied()
+        copies = hypotheses.copied()
     firsts, faults = starts.tolist(), dict[int, Fault]()
-    values = np.zeros(len(own))
+    values = np.zeros(len(copies))
     for t, reference in enumerate(references):
-        its = own if len(references) == 1 else own.part(firsts[t], firsts[t + 1])
+        its = copies if len(references) == 1 else copies.part(firsts[t], firsts[t + 1])
         try:
             answer = real_numbers(cue.log_likelihood(planes[t], its, shown(reference)))
             checked: Floats | Fault = check_log_likelihood(answer, len(its))
@@ -237,42 +237,44 @@ def follow(
     """
     if len(references) > 1 and angles is None and hasattr(cue, "follow_each"):
         try:
-            moved = cue.follow_each(planes, boxes.copy(), _shown(references), rates)
-            if len(moved) == len(references) and _are_finite(moved):
-                return (moved if isinstance(moved, ReferenceRows) else [seal(one) for one in moved]), {}
+            rows = cue.follow_each(planes, boxes.copy(), _shown(references), rates)
+            if len(rows) == len(references) and _are_finite(rows):
+                return (rows if isinstance(rows, ReferenceRows) else [seal(one) for one in rows]), {}
         except FAULTS:  # of whom is found out below
             pass
-    after, faults = list(references), dict[int, Fault]()
+    updated, faults = list(references), dict[int, Fault]()
     for t, reference in enumerate(references):
         try:
-            given = boxes[t].copy(), 0.0 if angles is None else float(angles[t])
-            checked = check_reference(_follow_one(cue, planes[t], given, shown(reference), float(rates[t])))
+            box_and_angle = boxes[t].copy(), 0.0 if angles is None else float(angles[t])
+            checked = check_reference(
+                _follow_one(cue, planes[t], box_and_angle, shown(reference), float(rates[t]))
+            )
         except FAULTS as error:
             faults[t] = fault_of(error, " while learning")
             continue
         if isinstance(checked, str):
             faults[t] = checked
         else:
-            after[t] = checked
-    return (ReferenceRows.of(after) if isinstance(references, ReferenceRows) else after), faults
+            updated[t] = checked
+    return (ReferenceRows.of(updated) if isinstance(references, ReferenceRows) else updated), faults
 
 
 def _follow_one(
-    cue: Any, planes: Planes, at: tuple[Floats, float], reference: Reference, rate: float
+    cue: Any, planes: Planes, box_and_angle: tuple[Floats, float], reference: Reference, rate: float
 ) -> Reference:
-    """The reference blended with what the cue sees `at` a centre box (4,) that is turned by an angle."""
-    box, angle = at
-    own = getattr(cue, "follow", None)
-    moved: Reference
+    """The reference blended with what the cue sees in a centre box (4,) that is turned by an angle."""
+    box, angle = box_and_angle
+    follow_itself = getattr(cue, "follow", None)
+    updated: Reference
     if angle != 0.0 and isinstance(cue, Turnable):
         learnt = cue.learn_turned(planes, box, angle)
-    elif own is not None:
-        moved = own(planes, box, reference, rate)
-        return moved
+    elif follow_itself is not None:
+        updated = follow_itself(planes, box, reference, rate)
+        return updated
     else:
         learnt = cue.learn(planes, box)
-    moved = cue.blend(reference, learnt, rate)
-    return moved
+    updated = cue.blend(reference, learnt, rate)
+    return updated
 
 
 def fault_of(error: BaseException, during: str = "") -> Fault:
@@ -284,7 +286,11 @@ def fault_of(error: BaseException, during: str = "") -> Fault:
 
 def _shown(references: Sequence[Reference]) -> Sequence[Reference]:
     """References as a cue is given them: it can change nothing."""
-    return references if isinstance(references, ReferenceRows) else [shown(one) for one in references]
+    return (
+        references
+        if isinstance(references, ReferenceRows)
+        else [shown(reference) for reference in references]
+    )
 
 
 def _is_usual(log_likelihood: Floats) -> bool:
@@ -304,8 +310,8 @@ def check_log_likelihood(log_likelihood: Floats | str, size: int) -> Floats | st
         return log_likelihood
     wrong = np.isnan(log_likelihood) | (log_likelihood > ROUNDING)
     if wrong.any():
-        what = f"a log-likelihood of {log_likelihood[wrong][0]:.6g}, not at most 0,"
-        return f"returned {what} for {int(wrong.sum())} of {size} hypotheses"
+        value = f"a log-likelihood of {log_likelihood[wrong][0]:.6g}, not at most 0,"
+        return f"returned {value} for {int(wrong.sum())} of {size} hypotheses"
     log_likelihood[log_likelihood < ZERO_BELOW] = -np.inf
     if not np.isfinite(log_likelihood).any():
         return f"returned a likelihood of zero for all {size} hypotheses"
@@ -322,8 +328,8 @@ def check_reference(reference: Mapping[str, Any]) -> Reference | str:
 
 
 def _are_finite(references: Sequence[Reference]) -> bool:
-    every = [references.columns] if isinstance(references, ReferenceRows) else references
-    arrays = [np.asarray(values) for one in every for values in one.values()]
+    mappings = [references.columns] if isinstance(references, ReferenceRows) else references
+    arrays = [np.asarray(values) for mapping in mappings for values in mapping.values()]
     return all(_is_finite(array) for array in arrays if array.dtype.kind in "fc")
 
 

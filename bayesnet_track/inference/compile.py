@@ -90,8 +90,8 @@ class Fusion:
 
         Those of factors are 1.
         """
-        kept = {c: share for c, share in zip(self.children, self.shares, strict=True) if c in present}
-        weights = pool_exponents(kept, self.correlation) if self.kind == "pool" else kept
+        shares = {c: share for c, share in zip(self.children, self.shares, strict=True) if c in present}
+        weights = pool_exponents(shares, self.correlation) if self.kind == "pool" else shares
         return {**weights, **{factor: 1.0 for factor in self.factors if factor in present}}
 
 
@@ -126,7 +126,7 @@ class Plan:
 
     def view(self, node: str) -> View | None:
         """A view by its name; None of another node."""
-        return next((one for one in self.views if one.node == node), None)
+        return next((view for view in self.views if view.node == node), None)
 
     def in_image(self) -> Plan:
         """The plan of hypotheses that are boxes in the image of the only view, if there is one."""
@@ -137,26 +137,27 @@ class Plan:
         from bayesnet_track.view.notebook import table
 
         planes = ", ".join(map(plane_words, self.planes)) or "none"
-        views = [("prior down", one.node, f"projected from {one.given_from}") for one in self.views]
+        views = [("prior down", step.node, f"projected from {step.given_from}") for step in self.views]
         draws = [
             ("prior down", draw.node, f"{'carried in' if draw.moves else 'drawn from'} {draw.given_from}")
             for draw in self.draws
         ]
-        asked = [
+        observed = [
             (
                 "observe",
-                one.agent,
-                f"{'measures' if one.measures else 'scores the hypotheses of'} {one.at}"
-                + (f", temperature {one.temperature:g}" if one.temperature != 1.0 else ""),
+                step.agent,
+                f"{'measures' if step.measures else 'scores the hypotheses of'} {step.at}"
+                + (f", temperature {step.temperature:g}" if step.temperature != 1.0 else ""),
             )
-            for one in self.observations
+            for step in self.observations
         ]
         joined = [
-            ("likelihoods up", one.node, f"{one.kind} of {', '.join(one.children)}") for one in self.fusions
+            ("likelihoods up", step.node, f"{step.kind} of {', '.join(step.children)}")
+            for step in self.fusions
         ]
         idle = [("off", agent, "") for agent in self.idle_planes]
-        factors = [("weigh", one.factor, f"{text_of(one.term)} at {one.at}") for one in self.factors]
-        rows = [("planes", self.target, planes), *views, *draws, *asked, *factors, *joined, *idle]
+        factors = [("weigh", step.factor, f"{text_of(step.term)} at {step.at}") for step in self.factors]
+        rows = [("planes", self.target, planes), *views, *draws, *observed, *factors, *joined, *idle]
         return table(rows, ("step", "node", "what"))
 
 
@@ -193,23 +194,23 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
 
 def _messengers(target: CheckedTarget, active: frozenset[str]) -> frozenset[str]:
     """Nodes that send a message: active agents, factors, and inference nodes above one."""
-    found = set(active | target.factors.keys())
+    messengers = set(active | target.factors.keys())
     weighed = {factor.parent for factor in target.factors.values()}
     for name in reversed(target.order):
-        if name in weighed or any(child in found for child in target.children.get(name, ())):
-            found.add(name)
-    return frozenset(found)
+        if name in weighed or any(child in messengers for child in target.children.get(name, ())):
+            messengers.add(name)
+    return frozenset(messengers)
 
 
 def _list_drawn(target: CheckedTarget, messengers: frozenset[str]) -> list[str]:
     """The latent nodes that send a message or are parts, and the latent ones above a part; parents first."""
-    drawn: set[str] = set()
+    nodes: set[str] = set()
     for name in (name for name in reversed(target.order) if name in target.children):
         fuse = target.inference(name).fuse
         is_part = fuse is not None and fuse.latent is not None and fuse.latent.given.is_part
-        if name in messengers or is_part or any(child in drawn for child in target.children[name]):
-            drawn.add(name)
-    return [name for name in target.order if name in drawn and is_latent(target, name)]
+        if name in messengers or is_part or any(child in nodes for child in target.children[name]):
+            nodes.add(name)
+    return [name for name in target.order if name in nodes and is_latent(target, name)]
 
 
 def _hypotheses_of(target: CheckedTarget, node: str | None) -> str:
@@ -227,8 +228,8 @@ def has_hypotheses(target: CheckedTarget, node: str) -> bool:
 def _draw(target: CheckedTarget, node: str) -> Draw:
     fuse = target.inference(node).fuse
     assert fuse is not None and fuse.latent is not None
-    above = target.parent[node]
-    given_from = target.root if above is None else _hypotheses_of(target, above)
+    parent = target.parent[node]
+    given_from = target.root if parent is None else _hypotheses_of(target, parent)
     return Draw(node, given_from, fuse.latent.given, target.givens.get(node), _moves(target, node))
 
 
@@ -238,16 +239,16 @@ def _moves(target: CheckedTarget, node: str) -> bool:
 
 def _weigh(target: CheckedTarget, name: str, factor: Factor) -> Weigh:
     node: str | None = factor.parent
-    at = _hypotheses_of(target, node)
-    above = target.parent[at] if is_latent(target, at) else None
+    weighed = _hypotheses_of(target, node)
+    parent = target.parent[weighed] if is_latent(target, weighed) else None
     is_prior = True
     while node is not None:
         fuse = target.inference(node).fuse
         is_prior = is_prior and (fuse is None or fuse.product is not None or node == factor.parent)
         is_prior = is_prior and not is_latent(target, node)
         node = target.parent[node]
-    given_from = at if above is None else _hypotheses_of(target, above)
-    return Weigh(name, at, given_from, factor.term, factor.constants, is_prior, factor.mask)
+    given_from = weighed if parent is None else _hypotheses_of(target, parent)
+    return Weigh(name, weighed, given_from, factor.term, factor.constants, is_prior, factor.mask)
 
 
 def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str], measuring: Container[str]) -> Fusion:
@@ -261,8 +262,8 @@ def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str], measurin
     shares = (1.0,) * len(children)
     if fuse.latent is None:
         return Fusion(node, fuse.kind, children, shares, factors=factors)
-    given, own = fuse.latent.given, form_of(target, node, measuring)
-    return Fusion(node, fuse.kind, children, shares, given, own, factors, written=target.givens.get(node))
+    given, form = fuse.latent.given, form_of(target, node, measuring)
+    return Fusion(node, fuse.kind, children, shares, given, form, factors, written=target.givens.get(node))
 
 
 def _with_inputs(planes: Iterable[Plane]) -> tuple[Plane, ...]:
@@ -289,8 +290,8 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
     lines += [f"  plane    {plane_words(plane)}" for plane in plan.planes]
     lines += [f"  project  {view.node} from {view.given_from} by its camera" for view in plan.views]
     for draw in plan.draws:
-        verb, around = ("carry", "deviating from its place in") if draw.moves else ("draw ", "given")
-        lines.append(f"  {verb}    {draw.node} {around} {_describe_given(draw)}")
+        verb, centre = ("carry", "deviating from its place in") if draw.moves else ("draw ", "given")
+        lines.append(f"  {verb}    {draw.node} {centre} {_describe_given(draw)}")
     for step in plan.observations:
         cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
         lines.append(f"  observe  {step.agent}{cue} at the hypotheses of {step.at}")
@@ -322,9 +323,11 @@ def plane_words(plane: object) -> str:
     if not is_dataclass(plane) or type(plane).__str__ is not object.__str__:
         return str(plane)
     name = _CAPITAL.sub(" ", type(plane).__name__).lower().removesuffix(" plane")
-    settings = [_setting(one.name, getattr(plane, one.name)) for one in fields(plane) if one.repr]
-    said = ", ".join(one for one in settings if one)
-    return f"{name} ({said})" if said else name
+    settings = [
+        _setting(setting.name, getattr(plane, setting.name)) for setting in fields(plane) if setting.repr
+    ]
+    words = ", ".join(setting for setting in settings if setting)
+    return f"{name} ({words})" if words else name
 
 
 def _setting(name: str, value: object) -> str:

@@ -97,36 +97,38 @@ class Factors:
 
 
 def weigh(
-    step: Weigh, own: Hypotheses, above: Hypotheses, frames: FramePair, found: Factors
+    step: Weigh, hypotheses: Hypotheses, parents: Hypotheses, frames: FramePair, factors: Factors
 ) -> Floats | None:
     """(N,) log density of a factor, finite or -inf; None where it is left out of the frame.
 
-    `own` are the hypotheses that it weighs, `above` those around which they were drawn.
+    `hypotheses` are the hypotheses that it weighs, `parents` those around which they were drawn.
 
     It is left out where it is zero for all hypotheses that the frame begins with. Of those that are drawn
     later all may be impossible, and then they have no weight.
     """
-    flaw = found.flaws.get(step.factor)
+    flaw = factors.flaws.get(step.factor)
     if flaw is not None and flaw.ignored:
         return None
-    size = len(own)
-    names = _names(step, own, above, frames)
+    size = len(hypotheses)
+    names = _names(step, hypotheses, parents, frames)
     log = np.array(np.broadcast_to(log_values(step.term, names), (size,)), dtype=np.float64)
     undefined = np.isnan(log)
     log[undefined | ~(log >= ZERO_BELOW)] = -np.inf
-    ignored = bool(size) and step.factor not in found.used and not np.isfinite(log).any()
+    ignored = bool(size) and step.factor not in factors.used and not np.isfinite(log).any()
     if undefined.any() or ignored:
-        found.flaws.setdefault(step.factor, Flaw(int(undefined.sum()), size, ignored))
+        factors.flaws.setdefault(step.factor, Flaw(int(undefined.sum()), size, ignored))
     if ignored:
         return None
-    found.used.add(step.factor)
+    factors.used.add(step.factor)
     return log
 
 
 def log_prior_factor(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
     """(N,) log of the factors that multiply the root's prior; zeros when there are none."""
-    found = [evidence.factors[one.factor] for one in steps if one.is_prior and one.factor in evidence.factors]
-    return np.sum(found, axis=0) if found else np.zeros(len(evidence.log_likelihood))
+    log_factors = [
+        evidence.factors[step.factor] for step in steps if step.is_prior and step.factor in evidence.factors
+    ]
+    return np.sum(log_factors, axis=0) if log_factors else np.zeros(len(evidence.log_likelihood))
 
 
 def log_seen(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
@@ -137,14 +139,16 @@ def log_seen(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
     return evidence.log_likelihood - np.where(np.isfinite(log), log, 0.0)
 
 
-def _names(step: Weigh, own: Hypotheses, above: Hypotheses, frames: FramePair) -> dict[str, Value | Mask]:
+def _names(
+    step: Weigh, hypotheses: Hypotheses, parents: Hypotheses, frames: FramePair
+) -> dict[str, Value | Mask]:
     """What the names of an expression stand for."""
     return {
         **frames.names,
-        **{name: own.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
+        **{name: hypotheses.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
         "mode": 0.0,  # where a place is asked about, and no hypothesis: the first mode
-        **{PARENT + name: above.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
-        **own.fields,
+        **{PARENT + name: parents.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
+        **hypotheses.fields,
         **step.constants,
         **({} if step.mask is None else {MASK: step.mask}),
     }
@@ -170,12 +174,12 @@ class PairFlaw:
 
 
 def pair_factor(
-    rule: Join, constants: Mapping[str, float], frame: Mapping[str, float], found: PairFlaw | None = None
+    rule: Join, constants: Mapping[str, float], frame: Mapping[str, float], flaw: PairFlaw | None = None
 ) -> Factor | None:
     """The factor of a join in a frame; None of one without. Pairs of which it has no value are impossible.
 
     `frame` has the values of names that are the same of all states in it. What is wrong with the factor's
-    values is written into `found`.
+    values is written into `flaw`.
     """
     if rule.factor is None:
         return None
@@ -188,12 +192,12 @@ def pair_factor(
         log = np.asarray(log_values(term, {**names, **fixed}), dtype=np.float64)
         shape = np.broadcast_shapes(*(values.shape for values in names.values()))
         undefined = np.broadcast_to(np.isnan(log), shape)
-        known = np.broadcast_to(np.where(undefined, -np.inf, log), shape)
-        if found is not None:
-            found.undefined += int(undefined.sum())
-            found.pairs += int(undefined.size)
-            found.ignored |= not (known > -np.inf).any()
-        return known
+        defined = np.broadcast_to(np.where(undefined, -np.inf, log), shape)
+        if flaw is not None:
+            flaw.undefined += int(undefined.sum())
+            flaw.pairs += int(undefined.size)
+            flaw.ignored |= not (defined > -np.inf).any()
+        return defined
 
     return log_density
 
@@ -212,7 +216,7 @@ LEAST_SIDE = 1.0
 
 def draw_given(
     given: Conditional,
-    above: Floats,
+    parents: Floats,
     rng: np.random.Generator,
     undefined: MutableMapping[str, Undefined] | None = None,
 ) -> Floats:
@@ -221,26 +225,26 @@ def draw_given(
     Where an expression has no value, or its distribution has none, the field is the parent's; `undefined`
     then says so by field.
     """
-    boxes = above.copy()
+    boxes = parents.copy()
     for column, name, term in _fields(given):
-        parameters = parameters_of(term, _latent_names(given, above, boxes), len(above))
+        parameters = parameters_of(term, _latent_names(given, parents, boxes), len(parents))
         values = draw(distribution_of(term), parameters, rng)
-        known = np.isfinite(values)
-        boxes[:, column] = np.where(known, values, above[:, column])
-        if undefined is not None and not known.all():
-            undefined.setdefault(name, Undefined(int((~known).sum()), len(known)))
+        is_defined = np.isfinite(values)
+        boxes[:, column] = np.where(is_defined, values, parents[:, column])
+        if undefined is not None and not is_defined.all():
+            undefined.setdefault(name, Undefined(int((~is_defined).sum()), len(is_defined)))
         if column >= 2:
             np.maximum(boxes[:, column], LEAST_SIDE, out=boxes[:, column])
     return boxes
 
 
-def usual_boxes(given: Conditional, above: Floats) -> Floats:
+def usual_boxes(given: Conditional, parents: Floats) -> Floats:
     """(N, 4) own boxes with the median of each field, for parents (N, 4)."""
-    boxes = above.copy()
+    boxes = parents.copy()
     for column, _, term in _fields(given):
-        parameters = parameters_of(term, _latent_names(given, above, boxes), len(above))
+        parameters = parameters_of(term, _latent_names(given, parents, boxes), len(parents))
         middle = median(distribution_of(term), parameters)
-        boxes[:, column] = np.where(np.isfinite(middle), middle, above[:, column])
+        boxes[:, column] = np.where(np.isfinite(middle), middle, parents[:, column])
         if column >= 2:
             np.maximum(boxes[:, column], LEAST_SIDE, out=boxes[:, column])
     return boxes
@@ -252,48 +256,48 @@ def linearise_given(given: Conditional, parent: Floats) -> tuple[Floats, Floats,
     c = own + A (h - parent) + noise, by numerical derivatives: exact where means are linear and sds constant.
     What is drawn is normal. A field without a value is the parent's, as in `draw_given`.
     """
-    own, by_parent, noise = parent.copy(), np.eye(4), np.zeros((4, 4))
+    box, by_parent, noise = parent.copy(), np.eye(4), np.zeros((4, 4))
     moves = np.concatenate([np.zeros((1, 8)), STEP * np.eye(8), -STEP * np.eye(8)])
     for column, _, term in _fields(given):
-        above, mine = parent + moves[:, :4], own + moves[:, 4:]
-        parameters = parameters_of(term, _latent_names(given, above, mine), len(moves))
+        parents, mine = parent + moves[:, :4], box + moves[:, 4:]
+        parameters = parameters_of(term, _latent_names(given, parents, mine), len(moves))
         sd = float(parameters[1, 0]) if distribution_of(term) else 0.0
         slopes = (parameters[0, 1:9] - parameters[0, 9:]) / (2.0 * STEP)
         if not (
             np.isfinite(parameters[0]).all() and np.isfinite(sd) and (sd > 0 or not distribution_of(term))
         ):
             continue
-        own[column] = max(parameters[0, 0], LEAST_SIDE) if column >= 2 else parameters[0, 0]
-        before = slopes[4 : 4 + column]
-        by_parent[column] = slopes[:4] + before @ by_parent[:column]
-        noise[column] = before @ noise[:column]
+        box[column] = max(parameters[0, 0], LEAST_SIDE) if column >= 2 else parameters[0, 0]
+        by_earlier = slopes[4 : 4 + column]
+        by_parent[column] = slopes[:4] + by_earlier @ by_parent[:column]
+        noise[column] = by_earlier @ noise[:column]
         noise[column, column] += sd
-    return own, by_parent, noise @ noise.T
+    return box, by_parent, noise @ noise.T
 
 
-def log_given(given: Conditional, above: Floats, own: Floats) -> Floats:
+def log_given(given: Conditional, parents: Floats, boxes: Floats) -> Floats:
     """(N, M) log p(c_j | h_i) of own boxes (M, 4), for parents (N, 4), over the fields that are drawn.
 
     -inf where a field that has a value, or is the parent's, differs from it.
     """
-    log = np.zeros((len(above), len(own)))
+    log = np.zeros((len(parents), len(boxes)))
     written = {column: term for column, _, term in _fields(given)}
-    columns = {name: own[None, :, k] for k, name in enumerate(BOX_FIELDS)}
-    names = {**_of_parents(above[:, :, None]), **columns, **given.constants}
+    columns = {name: boxes[None, :, k] for k, name in enumerate(BOX_FIELDS)}
+    names = {**_of_parents(parents[:, :, None]), **columns, **given.constants}
     for column in range(len(BOX_FIELDS)):
         term = written.get(column)
         if term is None:
-            values = above[:, column, None]
+            values = parents[:, column, None]
         elif distribution_of(term):
-            log = log + log_values(term, {**names, DRAWN: own[None, :, column]})
+            log = log + log_values(term, {**names, DRAWN: boxes[None, :, column]})
             continue
         else:
             values = np.broadcast_to(values_of(term, names), log.shape)
-            values = np.where(np.isfinite(values), values, above[:, column, None])
+            values = np.where(np.isfinite(values), values, parents[:, column, None])
             values = np.maximum(values, LEAST_SIDE) if column >= 2 else values
         if np.ptp(values) > 0:
             log = np.where(
-                np.abs(values - own[None, :, column]) > 1e-9 * (1.0 + np.abs(values)), -np.inf, log
+                np.abs(values - boxes[None, :, column]) > 1e-9 * (1.0 + np.abs(values)), -np.inf, log
             )
     return np.where(np.isnan(log), -np.inf, log)
 
@@ -302,19 +306,19 @@ def _fields(given: Conditional) -> list[tuple[int, str, Term]]:
     return [(k, name, given.fields[name]) for k, name in enumerate(BOX_FIELDS) if name in given.fields]
 
 
-def _latent_names(given: Conditional, above: Floats, own: Floats) -> Names:
-    mine = {name: own[:, k] for k, name in enumerate(BOX_FIELDS)}
-    return {**_of_parents(above), **mine, **given.constants}
+def _latent_names(given: Conditional, parents: Floats, boxes: Floats) -> Names:
+    mine = {name: boxes[:, k] for k, name in enumerate(BOX_FIELDS)}
+    return {**_of_parents(parents), **mine, **given.constants}
 
 
-def _of_parents(above: Floats) -> dict[str, Floats]:
-    return {PARENT + name: above[:, k] for k, name in enumerate(BOX_FIELDS)}
+def _of_parents(parents: Floats) -> dict[str, Floats]:
+    return {PARENT + name: parents[:, k] for k, name in enumerate(BOX_FIELDS)}
 
 
 def read_as(measured: Measurement, functions: MeasuredAs, frames: FramePair) -> Measurement:
     """The measurement with h: what its quantities would be of states in these frames."""
     seen = seen_by(measured.fields, functions, frames)
-    choices = tuple((weight, replace(one, seen=seen)) for weight, one in measured.choices)
+    choices = tuple((weight, replace(choice, seen=seen)) for weight, choice in measured.choices)
     errors = None if not functions.errors else errors_by(measured.fields, functions, frames)
     return replace(measured, seen=seen, choices=choices, errors=errors)
 
@@ -324,10 +328,10 @@ def errors_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePai
     fixed = _fixed(functions, frames)
     terms = [functions.errors[name] for name in quantities]
 
-    def densities(states: Mapping[str, Floats], away: Floats) -> Floats:
+    def densities(states: Mapping[str, Floats], errors: Floats) -> Floats:
         names = {**in_modes(at_delay(states, functions), functions), **fixed}
-        columns = [log_values(term, {**names, DRAWN: away[:, k]}) for k, term in enumerate(terms)]
-        return np.stack([np.broadcast_to(column, (len(away),)) for column in columns], axis=1)
+        columns = [log_values(term, {**names, DRAWN: errors[:, k]}) for k, term in enumerate(terms)]
+        return np.stack([np.broadcast_to(column, (len(errors),)) for column in columns], axis=1)
 
     return Errors(densities, all(distribution_of(term) == "normal" for term in terms))
 
@@ -361,14 +365,16 @@ def at_delay(states: Mapping[str, Floats], functions: MeasuredAs) -> Mapping[str
     """The states as they were when the agent measured: between two frame intervals they change evenly."""
     if not functions.delay:
         return states
-    whole, share = int(functions.delay), functions.delay % 1.0
+    intervals, share = int(functions.delay), functions.delay % 1.0
 
-    def before(name: str, lag: int) -> Floats:
+    def at_lag(name: str, lag: int) -> Floats:
         return states[f"{name}{PAST}{lag}"] if lag else states[name]
 
-    late = {name: before(name, whole) for name in functions.late}
+    late = {name: at_lag(name, intervals) for name in functions.late}
     if share:
-        late = {name: (1.0 - share) * now + share * before(name, whole + 1) for name, now in late.items()}
+        late = {
+            name: (1.0 - share) * value + share * at_lag(name, intervals + 1) for name, value in late.items()
+        }
     return {**states, **late}
 
 
@@ -377,8 +383,8 @@ def in_modes(states: Mapping[str, Floats], functions: MeasuredAs) -> Mapping[str
     if FIELD not in states or all(name in states for name in functions.discrete):
         return states
     combination = states[FIELD].astype(np.intp)
-    numbers = {name: np.array(own, dtype=np.float64) for name, own in functions.discrete.items()}
-    return {**states, **{name: own[combination] for name, own in numbers.items()}}
+    numbers = {name: np.array(values, dtype=np.float64) for name, values in functions.discrete.items()}
+    return {**states, **{name: values[combination] for name, values in numbers.items()}}
 
 
 def seen_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Seen:

@@ -35,7 +35,9 @@ FAR = 1e140
 def measurement_message(measured: Measurement, hypotheses: Hypotheses) -> Floats:
     """(N,) log-likelihood -d^2 / 2 of a Gaussian message, mixed with its floor; of choices, their mixture."""
     if measured.choices:
-        each = (weight * np.exp(measurement_message(one, hypotheses)) for weight, one in measured.choices)
+        each = (
+            weight * np.exp(measurement_message(choice, hypotheses)) for weight, choice in measured.choices
+        )
         with np.errstate(divide="ignore"):
             return np.asarray(np.minimum(np.log(measured.missed + sum(each)), 0.0))
     log = _place_message(measured, hypotheses)
@@ -46,10 +48,10 @@ def _place_message(measured: Measurement, hypotheses: Hypotheses) -> Floats:
     if measured.errors is not None:
         return measured.log_by_errors(_states(hypotheses))
     if measured.seen is None:
-        away = _values(hypotheses, measured.fields) - measured.mean
+        errors = _values(hypotheses, measured.fields) - measured.mean
     else:
-        away = measured.seen.less(measured.seen.function(_states(hypotheses)), measured.mean)
-    log = _log_of(away, measured)
+        errors = measured.seen.less(measured.seen.function(_states(hypotheses)), measured.mean)
+    log = _log_of(errors, measured)
     return floored(log, measured.floor) if measured.floor > 0 else log
 
 
@@ -57,18 +59,18 @@ def _states(hypotheses: Hypotheses) -> dict[str, Floats]:
     return {**dict(zip(BOX_FIELDS, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
 
 
-def _log_of(away: Floats, measured: Measurement) -> Floats:
+def _log_of(errors: Floats, measured: Measurement) -> Floats:
     """(N,) -d^2 / 2 of errors (N, K) of a measurement."""
     if measured.variances is not None:
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.compiled import plain
         from bayesnet_track.numerics.gaussian import independent_log
 
-        log = np.empty(len(away))
-        independent_log(plain(away), np.array(measured.variances), FAR * FAR, log)
+        log = np.empty(len(errors))
+        independent_log(plain(errors), np.array(measured.variances), FAR * FAR, log)
         return log
     with np.errstate(over="ignore", invalid="ignore"):
-        sds = np.linalg.solve(np.linalg.cholesky(measured.covariance), away.T)
+        sds = np.linalg.solve(np.linalg.cholesky(measured.covariance), errors.T)
         sds *= sds
         log = np.asarray(-0.5 * sds.sum(axis=0))
     if not math.isfinite(log.min(initial=0.0)):  # also where one is NaN
@@ -88,18 +90,18 @@ def to_power(measured: Measurement, power: float) -> Measurement:
         measured,
         covariance=measured.covariance / power,
         seen=function,
-        errors=None if (own := measured.errors) is None else replace(own, power=own.power * power),
+        errors=None if (errors := measured.errors) is None else replace(errors, power=errors.power * power),
         log_peak=None if measured.log_peak is None else measured.log_peak * power,
         floor=measured.floor**power,
-        choices=tuple((weight, to_power(one, power)) for weight, one in measured.choices),
+        choices=tuple((weight, to_power(choice, power)) for weight, choice in measured.choices),
         label=None if measured.label is None else measured.label.to_power(power),
     )
 
 
 def latent_gaussian(
     given: Given | Conditional,
-    above: Hypotheses,
-    own: Hypotheses,
+    parents: Hypotheses,
+    draws: Hypotheses,
     prior_log: Floats,
     gaussians: Mapping[str, tuple[Measurement, float]],
     sampled: Floats | None,
@@ -121,29 +123,29 @@ def latent_gaussian(
     """
     beta = np.exp(prior_log)
     matrix = None if isinstance(given, Conditional) else part_matrix(given)
-    boxes: Floats = own.boxes if matrix is None else np.asarray(np.linalg.solve(matrix, own.boxes.T).T)
+    boxes: Floats = draws.boxes if matrix is None else np.asarray(np.linalg.solve(matrix, draws.boxes.T).T)
     centre = beta @ boxes
-    away = boxes - centre
-    variance, axes = np.linalg.eigh((away * beta[:, None]).T @ away)
-    kept = variance > 1e-12 * max(float(variance[-1]), 1e-12)
-    if not kept.any():
+    deviations = boxes - centre
+    variance, axes = np.linalg.eigh((deviations * beta[:, None]).T @ deviations)
+    varies = variance > 1e-12 * max(float(variance[-1]), 1e-12)
+    if not varies.any():
         return None
     # c = centre + shape u, with u of mean 0 and covariance 1 under the prior.
-    shape, unshape = axes[:, kept] * np.sqrt(variance[kept]), axes[:, kept] / np.sqrt(variance[kept])
-    precision, shift = _match(away @ unshape, prior_log, sampled)
+    shape, unshape = axes[:, varies] * np.sqrt(variance[varies]), axes[:, varies] / np.sqrt(variance[varies])
+    precision, shift = _match(deviations @ unshape, prior_log, sampled)
     for message, power in gaussians.values():
-        looks, at = (shape, centre) if matrix is None else (matrix @ shape, matrix @ centre)
-        slopes, away, covariance = _linear(message, at)
-        seen = np.linalg.solve(covariance / power, slopes @ looks)
-        precision = precision + (slopes @ looks).T @ seen
-        shift = shift + seen.T @ away
+        looks, place = (shape, centre) if matrix is None else (matrix @ shape, matrix @ centre)
+        slopes, innovation, covariance = _linear(message, place)
+        weighted = np.linalg.solve(covariance / power, slopes @ looks)
+        precision = precision + (slopes @ looks).T @ weighted
+        shift = shift + weighted.T @ innovation
     floor = 0.0
     if sampled is None:  # what remains far from all of them
         floor = float(np.prod([message.floor**power for message, power in gaussians.values()]))
     directions = _Directions(centre, shape, unshape)
     if isinstance(given, Conditional):
-        return _by_slopes(given, above.boxes, beta, directions, (precision, shift), floor)
-    return _in_fields(given, beta @ above.boxes, directions, precision, shift, floor)
+        return _by_slopes(given, parents.boxes, beta, directions, (precision, shift), floor)
+    return _in_fields(given, beta @ parents.boxes, directions, precision, shift, floor)
 
 
 def _linear(message: Measurement, box: Floats) -> tuple[Floats, Floats, Floats]:
@@ -153,9 +155,9 @@ def _linear(message: Measurement, box: Floats) -> tuple[Floats, Floats, Floats]:
     is left out.
     """
     if message.seen is None:
-        kept = [k for k, name in enumerate(message.fields) if name in BOX_FIELDS]
-        slopes = np.eye(4)[[BOX_FIELDS.index(message.fields[k]) for k in kept]].reshape(len(kept), 4)
-        return slopes, message.mean[kept] - slopes @ box, message.covariance[np.ix_(kept, kept)]
+        columns = [k for k, name in enumerate(message.fields) if name in BOX_FIELDS]
+        slopes = np.eye(4)[[BOX_FIELDS.index(message.fields[k]) for k in columns]].reshape(len(columns), 4)
+        return slopes, message.mean[columns] - slopes @ box, message.covariance[np.ix_(columns, columns)]
     seen = message.seen
 
     def of(boxes: Floats) -> Floats:
@@ -163,9 +165,9 @@ def _linear(message: Measurement, box: Floats) -> tuple[Floats, Floats, Floats]:
 
     expected = of(box[None])[0]
     slopes = derivative(lambda boxes: expected + seen.less(of(boxes), expected), box)
-    known = np.flatnonzero(np.isfinite(expected) & np.isfinite(slopes).all(axis=1))
+    defined = np.flatnonzero(np.isfinite(expected) & np.isfinite(slopes).all(axis=1))
     innovation = seen.less(message.mean, expected)
-    return slopes[known], innovation[known], message.covariance[np.ix_(known, known)]
+    return slopes[defined], innovation[defined], message.covariance[np.ix_(defined, defined)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +196,8 @@ def _match(places: Floats, prior_log: Floats, sampled: Floats | None) -> tuple[F
     except DegenerateWeights:
         return nothing
     mean = weights @ places
-    away = places - mean
-    spread, axes = np.linalg.eigh((away * weights[:, None]).T @ away)
+    deviations = places - mean
+    spread, axes = np.linalg.eigh((deviations * weights[:, None]).T @ deviations)
     spread = np.maximum(spread, float(n) ** (-2.0 / k))
     gained = 1.0 / spread - 1.0
     informed = gained > KNOWN
@@ -213,16 +215,16 @@ def _in_fields(
 ) -> Measurement | None:
     """The Gaussian in u as one over the fields of a box that it says something of, widened by `given`."""
     centre, shape, unshape = directions.centre, directions.shape, directions.unshape
-    known, axes = np.linalg.eigh(precision)
-    usable = known > KNOWN
-    mean = centre + shape @ (axes[:, usable] @ ((axes[:, usable].T @ shift) / known[usable]))
+    precisions, axes = np.linalg.eigh(precision)
+    usable = precisions > KNOWN
+    mean = centre + shape @ (axes[:, usable] @ ((axes[:, usable].T @ shift) / precisions[usable]))
     sd = np.sqrt(np.sum(shape**2, axis=1))
     scaled = (unshape @ precision @ unshape.T) * np.outer(sd, sd)
     fields = [k for k in range(len(BOX_FIELDS)) if scaled[k, k] > KNOWN]
     if not fields:
         return None
-    own, turn = np.linalg.eigh(scaled[np.ix_(fields, fields)])
-    covariance = (turn / np.maximum(own, KNOWN)) @ turn.T * np.outer(sd[fields], sd[fields])
+    eigenvalues, turn = np.linalg.eigh(scaled[np.ix_(fields, fields)])
+    covariance = (turn / np.maximum(eigenvalues, KNOWN)) @ turn.T * np.outer(sd[fields], sd[fields])
     covariance = covariance + _noise(given, parent)[np.ix_(fields, fields)]
     return Measurement(
         tuple(BOX_FIELDS[k] for k in fields), mean[fields], (covariance + covariance.T) / 2, floor
@@ -245,10 +247,10 @@ def _by_slopes(
     precision, shift = known
     parent = beta @ boxes
     sd = np.sqrt(beta @ (boxes - parent) ** 2)
-    own, slopes, noise = linearise_given(given, parent)
+    box, slopes, noise = linearise_given(given, parent)
     unshape = directions.unshape
     looks = unshape.T @ slopes * sd  # u = looks (h - parent) / sd + start + noise
-    start = unshape.T @ (own - directions.centre)
+    start = unshape.T @ (box - directions.centre)
     wider = np.linalg.inv(np.eye(len(shift)) + precision @ (unshape.T @ noise @ unshape))
     information = looks.T @ wider @ precision @ looks
     pull = looks.T @ wider @ (shift - precision @ start)
@@ -257,17 +259,17 @@ def _by_slopes(
         return None
     own_part, turn = np.linalg.eigh((information + information.T)[np.ix_(fields, fields)] / 2)
     usable = own_part > KNOWN
-    away = turn[:, usable] @ ((turn[:, usable].T @ pull[fields]) / own_part[usable])
+    offset = turn[:, usable] @ ((turn[:, usable].T @ pull[fields]) / own_part[usable])
     covariance = (turn / np.maximum(own_part, KNOWN)) @ turn.T * np.outer(sd[fields], sd[fields])
-    mean = parent[fields] + sd[fields] * away
+    mean = parent[fields] + sd[fields] * offset
     return Measurement(tuple(BOX_FIELDS[k] for k in fields), mean, (covariance + covariance.T) / 2, floor)
 
 
 def _noise(given: Given, parent: Floats) -> Floats:
     """(4, 4) covariance of `given` at the parent's box (4,), in the parent's coordinates."""
     matrix = part_matrix(given)
-    around = parent if matrix is None else matrix @ parent
-    noise = KinematicMotion(given, ((0.0,),)).linearise(around, 1.0)[1]
+    box = parent if matrix is None else matrix @ parent
+    noise = KinematicMotion(given, ((0.0,),)).linearise(box, 1.0)[1]
     if matrix is None:
         return noise
     back = np.linalg.inv(matrix)
@@ -295,7 +297,7 @@ SPECTRAL_NOISE = 1e-13
 
 
 def kernel_message(
-    given: Noise, above: Hypotheses, own: Hypotheses, prior_log: Floats, log_likelihood: Floats
+    given: Noise, parents: Hypotheses, draws: Hypotheses, prior_log: Floats, log_likelihood: Floats
 ) -> Floats:
     """(N,) log of the integral of p(c | h_i) L(c) over the latent state c, O(N^2).
 
@@ -303,8 +305,8 @@ def kernel_message(
     normalised: without the division the samples' density would act as a second prior. A coordinate without
     noise is the parent's own, so that only samples which agree in it count.
     """
-    log_kernel = log_noise_density(given, own.boxes, above.boxes).T
-    _keep_agreeing(log_kernel, given, above.boxes, own.boxes)
+    log_kernel = log_noise_density(given, draws.boxes, parents.boxes).T
+    _keep_agreeing(log_kernel, given, parents.boxes, draws.boxes)
     return sum_kernel(log_kernel, prior_log, log_likelihood)
 
 
@@ -323,7 +325,7 @@ def sum_kernel(log_kernel: Floats, prior_log: Floats, log_likelihood: Floats) ->
 
 
 def grid_message(
-    given: Noise, above: Hypotheses, own: Hypotheses, prior_log: Floats, log_likelihood: Floats
+    given: Noise, parent_hypotheses: Hypotheses, draws: Hypotheses, prior_log: Floats, log_likelihood: Floats
 ) -> Floats:
     """`kernel_message` on a grid of cells over x and y, O(N + G log G) for G cells.
 
@@ -336,7 +338,7 @@ def grid_message(
     if given.heavy_tail is not None:
         parts = [(1.0 - given.heavy_tail.weight, 1.0), (given.heavy_tail.weight, given.heavy_tail.factor)]
     sd = np.array([given.sd_px.x, given.sd_px.y])
-    places = np.concatenate([above.boxes[:, :2], own.boxes[:, :2]]) / sd
+    places = np.concatenate([parent_hypotheses.boxes[:, :2], draws.boxes[:, :2]]) / sd
     low, high = places.min(axis=0), places.max(axis=0)
     margin = 6.0 * parts[-1][1]  # the transform wraps round
     extent = high - low + margin
@@ -344,8 +346,8 @@ def grid_message(
     cells = np.ceil(extent / cell).astype(int) + 2
     transfer = _transfer(parts, cell, cells)
 
-    parents = _share((above.boxes[:, :2] / sd - low) / cell)
-    samples = _share((own.boxes[:, :2] / sd - low) / cell)
+    parents = _share((parent_hypotheses.boxes[:, :2] / sd - low) / cell)
+    samples = _share((draws.boxes[:, :2] / sd - low) / cell)
     beta = np.exp(prior_log)
     q = _read(_convolve(_collect(beta, parents, cells), transfer), samples)
     share = np.zeros(len(beta))
@@ -356,10 +358,10 @@ def grid_message(
     total = _read(_convolve(_collect(share, samples, cells), transfer), parents)
     likelihood = np.exp(log_likelihood - top)
     integral = _read(_convolve(_collect(share * likelihood, samples, cells), transfer), parents)
-    seen = total > SPECTRAL_NOISE * total.max()
+    is_reached = total > SPECTRAL_NOISE * total.max()
     message = log_likelihood.copy()
-    least = SPECTRAL_NOISE * max(float(integral.max()), np.finfo(float).tiny)
-    message[seen] = top + np.log(np.maximum(integral[seen], least)) - np.log(total[seen])
+    floor = SPECTRAL_NOISE * max(float(integral.max()), np.finfo(float).tiny)
+    message[is_reached] = top + np.log(np.maximum(integral[is_reached], floor)) - np.log(total[is_reached])
     return message
 
 
@@ -377,16 +379,16 @@ def _share(places: Floats) -> Shares:
 
 def _collect(values: Floats, shares: Shares, cells: NDArray[np.intp]) -> Floats:
     """(cells) the values (N,), each shared between four cells."""
-    at, weights = shares
-    flat = at[..., 0] * cells[1] + at[..., 1]
+    indices, weights = shares
+    flat = indices[..., 0] * cells[1] + indices[..., 1]
     amounts = (values[:, None] * weights).ravel()
     return np.bincount(flat.ravel(), amounts, int(np.prod(cells))).reshape(tuple(cells))
 
 
 def _read(grid: Floats, shares: Shares) -> Floats:
     """(N,) the grid at places, between four cells."""
-    at, weights = shares
-    return np.asarray(np.sum(grid[at[..., 0], at[..., 1]] * weights, axis=1))
+    indices, weights = shares
+    return np.asarray(np.sum(grid[indices[..., 0], indices[..., 1]] * weights, axis=1))
 
 
 def _transfer(parts: list[tuple[float, float]], cell: float, cells: NDArray[np.intp]) -> Floats:

@@ -242,35 +242,37 @@ class PairBatch:
 
     @classmethod
     def along(
-        cls, crowd: Crowd, edges: Sequence[Edge], closing: Sequence[Edge], above: Mapping[str, str | None]
+        cls, crowd: Crowd, edges: Sequence[Edge], closing: Sequence[Edge], parents: Mapping[str, str | None]
     ) -> PairBatch:
-        """That of a forest, in which `above` has the parents, after children, and of edges that close rings.
+        """That of a forest, by the `parents` of its targets, after children, and of edges that close rings.
 
         Along these a target says what it believes by itself, and no more.
         """
-        every = [*closing, *edges]
-        pairs = [pair for edge in every for pair in (edge.pair[::-1], edge.pair)]
+        all_edges = [*closing, *edges]
+        pairs = [pair for edge in all_edges for pair in (edge.pair[::-1], edge.pair)]
         number = {pair: k for k, pair in enumerate(pairs)}
-        heard: dict[str, list[int]] = {name: [] for name in crowd.names}
+        to_hearer: dict[str, list[int]] = {name: [] for name in crowd.names}
         for k, (_, hearer) in enumerate(pairs):
-            heard[hearer].append(k)
+            to_hearer[hearer].append(k)
         alone = 2 * len(closing)
-        before = [
-            [one for one in heard[speaker] if k >= alone and pairs[one][0] != hearer]
+        earlier = [
+            [message for message in to_hearer[speaker] if k >= alone and pairs[message][0] != hearer]
             for k, (speaker, hearer) in enumerate(pairs)
         ]
-        down = [(parent, name) for name, parent in above.items() if parent is not None]
+        downwards = [(parent, name) for name, parent in parents.items() if parent is not None]
         order = [
             *range(alone),
-            *(number[own[::-1]] for own in reversed(down)),
-            *(number[own] for own in down),
+            *(number[edge_or_pair[::-1]] for edge_or_pair in reversed(downwards)),
+            *(number[link] for link in downwards),
         ]
         speakers, hearers = (
             np.array([crowd.names[pair[end]] for pair in pairs], dtype=np.int64) for end in (0, 1)
         )
         begins = np.cumsum([0, *np.diff(crowd.starts)[hearers].tolist()])
-        both = [own for edge in every for own in (edge, edge.turned)]
-        return cls(pairs, both, (speakers, hearers), begins[:-1], int(begins[-1]), heard, before, order)
+        directed = [directed_edge for edge in all_edges for directed_edge in (edge, edge.turned)]
+        return cls(
+            pairs, directed, (speakers, hearers), begins[:-1], int(begins[-1]), to_hearer, earlier, order
+        )
 
 
 def pass_messages(crowd: Crowd, members: Mapping[str, Member], batch: PairBatch, keys: Keys) -> Floats:
@@ -280,10 +282,10 @@ def pass_messages(crowd: Crowd, members: Mapping[str, Member], batch: PairBatch,
     """
     from bayesnet_track.numerics.kernels.speaking_kernels import ask, speak
 
-    said = np.zeros((4, batch.columns))
+    messages = np.zeros((4, batch.columns))
     if not batch.pairs:
-        return said
-    known = (crowd.boxes, crowd.losses, crowd.bad, crowd.seen, *crowd.prior, crowd.by_place)
+        return messages
+    columns = (crowd.boxes, crowd.losses, crowd.bad, crowd.seen, *crowd.prior, crowd.by_place)
     pairs, heard = (*batch.ends, batch.at), ragged(batch.before)
     draws = _draw(crowd, batch, keys)
     rules = (
@@ -291,21 +293,21 @@ def pass_messages(crowd: Crowd, members: Mapping[str, Member], batch: PairBatch,
         crowd.hidden(members, [pair[::-1] for pair in batch.pairs]),
         np.array([(edge.first_in_front, edge.nats) for edge in batch.edges]),
     )
-    given = known, crowd.starts, crowd.log_evidence, pairs, heard, draws
+    given = columns, crowd.starts, crowd.log_evidence, pairs, heard, draws
     for is_plain, some in groupby(batch.order, key=lambda k: batch.edges[k].factor is None):
         if is_plain:
-            speak(np.array([*some]), *given, rules, said)
+            speak(np.array([*some]), *given, rules, messages)
             continue
         for k in some:
-            partners, log_importance, free, taken = ask(k, *given, said)
+            partners, log_importance, free, taken = ask(k, *given, messages)
             (speaker, hearer), factor = batch.pairs[k], batch.edges[k].factor
             assert factor is not None
             own = slice(crowd.starts[batch.ends[0][k]], crowd.starts[batch.ends[0][k] + 1])
             weight = np.exp(log_importance - crowd.losses[own]) * (free + taken)
             ends = members[hearer].states, members[speaker].states
-            found = related(*ends, factor, partners, weight)
-            said[0, batch.at[k] : batch.at[k] + len(found)] = found
-    return said
+            ratio = related(*ends, factor, partners, weight)
+            messages[0, batch.at[k] : batch.at[k] + len(ratio)] = ratio
+    return messages
 
 
 def ragged(several: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
@@ -378,15 +380,15 @@ def joint_marginals(
     """
     from bayesnet_track.numerics.kernels.speaking_kernels import conclude
 
-    above = _root_tree(_near(members, edges))
+    parents = _root_tree(_near(members, edges))
     if not members:
         return {}, {}
     crowd = Crowd.of(members)
-    batch = PairBatch.along(crowd, edges, closing, above)
-    said = pass_messages(crowd, members, batch, keys)
+    batch = PairBatch.along(crowd, edges, closing, parents)
+    messages = pass_messages(crowd, members, batch, keys)
     heard = [batch.heard[name] for name in members]
     log, hides, fronts = conclude(
-        crowd.log_likelihood, crowd.seen, crowd.starts, batch.at, ragged(heard), said
+        crowd.log_likelihood, crowd.seen, crowd.starts, batch.at, ragged(heard), messages
     )
     marginals = {
         name: Marginal(
@@ -402,28 +404,28 @@ def joint_marginals(
 
 
 def _near(members: Iterable[str], edges: Iterable[Edge]) -> dict[str, dict[str, Edge]]:
-    near: dict[str, dict[str, Edge]] = {name: {} for name in members}
+    neighbours: dict[str, dict[str, Edge]] = {name: {} for name in members}
     for edge in edges:
         first, second = edge.pair
-        near[first][second] = near[second][first] = edge
-    return near
+        neighbours[first][second] = neighbours[second][first] = edge
+    return neighbours
 
 
-def _root_tree(near: Mapping[str, Mapping[str, Edge]]) -> dict[str, str | None]:
+def _root_tree(neighbours: Mapping[str, Mapping[str, Edge]]) -> dict[str, str | None]:
     """All targets, parents before children, and each one's parent."""
-    above: dict[str, str | None] = {}
-    for root in near:
-        if root in above:
+    parents: dict[str, str | None] = {}
+    for root in neighbours:
+        if root in parents:
             continue
-        above[root] = None
+        parents[root] = None
         waiting = [root]
         while waiting:
             name = waiting.pop()
-            for other in near[name]:
-                if other == above[name]:
+            for neighbour in neighbours[name]:
+                if neighbour == parents[name]:
                     continue
-                if other in above:
-                    raise ValueError(f"targets {name} and {other} close a ring of joins")
-                above[other] = name
-                waiting.append(other)
-    return above
+                if neighbour in parents:
+                    raise ValueError(f"targets {name} and {neighbour} close a ring of joins")
+                parents[neighbour] = name
+                waiting.append(neighbour)
+    return parents

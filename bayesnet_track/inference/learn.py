@@ -70,7 +70,7 @@ def watch(references: Mapping[str, Reference], looks: Set[str], rule: Guard | No
     """
     if rule is None:
         return SlowReferences()
-    return SlowReferences({agent: one for agent, one in references.items() if agent in looks})
+    return SlowReferences({agent: reference for agent, reference in references.items() if agent in looks})
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +116,13 @@ def judge(
         cue = lesson.cues[agent]
         if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue) or availability.misses(agent) is not None:
             continue
-        further = {name: values.copy() for name, values in lesson.at.fields.items()}
-        at = Hypotheses(lesson.box_of(agent)[None].copy(), further)
+        copies = {name: values.copy() for name, values in lesson.at.fields.items()}
+        at = Hypotheses(lesson.box_of(agent)[None].copy(), copies)
         try:
             planes = lesson.planes_of(agent, at.boxes)
-            both = shown(references[agent]), shown(slow)
-            own, other = (float(cue.log_likelihood(planes, at, one)[0]) for one in both)
-            gaps[agent] = own, other
+            pair = shown(references[agent]), shown(slow)
+            own, slow_fit = (float(cue.log_likelihood(planes, at, one)[0]) for one in pair)
+            gaps[agent] = own, slow_fit
         except AgentUnavailable as error:
             availability.note(agent, Missing(str(error)))
         except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
@@ -154,11 +154,11 @@ def guard(
     for agent in judged.gaps:
         if agent in judged.held:
             parted.setdefault(agent, 0)
-            share, old, new = 1.0 - (1.0 - rule.pull) ** rule.every, references[agent], slow[agent]
+            share, base, target = 1.0 - (1.0 - rule.pull) ** rule.every, references[agent], slow[agent]
         else:
             parted.pop(agent, None)
-            share, old, new = 1.0 - (1.0 - rule.rate) ** rule.every, slow[agent], references[agent]
-        mixed = availability.misses(agent) or blend_reference(lesson.cues[agent], old, new, share)
+            share, base, target = 1.0 - (1.0 - rule.rate) ** rule.every, slow[agent], references[agent]
+        mixed = availability.misses(agent) or blend_reference(lesson.cues[agent], base, target, share)
         if isinstance(mixed, Missing):
             availability.note(agent, mixed)
         elif isinstance(mixed, str):
@@ -178,12 +178,14 @@ def changes(
 ) -> list[Event]:
     """The references that parted in this frame, and those that agree again."""
     events: list[Event] = []
-    for agent, (own, slow) in judged.gaps.items():
-        now = agent in after.parted
-        if rule is not None and now != (agent in before.parted):
-            lasted = 0 if now else before.parted[agent] + 1
+    for agent, (fit, slow) in judged.gaps.items():
+        is_parted = agent in after.parted
+        if rule is not None and is_parted != (agent in before.parted):
+            lasted = 0 if is_parted else before.parted[agent] + 1
             events.append(
-                ReferenceGuarded(frame, target, agent, now, own, slow, rule.apart_nats, rule.pull, lasted)
+                ReferenceGuarded(
+                    frame, target, agent, is_parted, fit, slow, rule.apart_nats, rule.pull, lasted
+                )
             )
     return events
 
@@ -266,8 +268,8 @@ def over_frames(rate: float, frames: int) -> float:
     return rate if frames == 1 else 1.0 - (1.0 - rate) ** frames
 
 
-def largest_rate(rule: Learn | None, own: float, frames: int) -> float:
-    """The largest rate of an agent whose own is `own`, so many frames after its target started.
+def largest_rate(rule: Learn | None, rate: float, frames: int) -> float:
+    """The largest rate of an agent whose own is `rate`, so many frames after its target started.
 
     The reference of the first frame is one sample. At a rate of 1 / n in the n-th frame it becomes the mean
     of n samples; a small constant rate would keep most of the first one for long.
@@ -278,7 +280,7 @@ def largest_rate(rule: Learn | None, own: float, frames: int) -> float:
     (0.5, 0.02, 0.0)
     """
     early = 0.0 if rule is None else rule.early_rate
-    return max(own, early / (frames + 1)) if own > 0.0 else 0.0
+    return max(rate, early / (frames + 1)) if rate > 0.0 else 0.0
 
 
 def frames_between(rule: Learn | None, sampled: Mapping[str, int]) -> int:
@@ -306,10 +308,12 @@ def learn_first(lesson: LearningInputs, agents: Iterable[str]) -> tuple[dict[str
     return _split_faults({agent: outcomes[agent] for agent in learning}, availability)
 
 
-def blend_reference(cue: AnyCue, old: Reference, new: Reference, rate: float) -> Reference | str | Missing:
-    """A reference between `old` (rate 0) and `new` (rate 1), or what went wrong."""
+def blend_reference(
+    cue: AnyCue, base: Reference, target: Reference, rate: float
+) -> Reference | str | Missing:
+    """A reference between `base` (rate 0) and `target` (rate 1), or what went wrong."""
     try:
-        return check_reference(cue.blend(shown(old), shown(new), rate))
+        return check_reference(cue.blend(shown(base), shown(target), rate))
     except AgentUnavailable as error:
         return Missing(str(error))
     except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
@@ -338,14 +342,14 @@ def adapt_reference(
 
 
 def blend_ahead(
-    lesson: LearningInputs, agent: str, old: Reference, rate: float
+    lesson: LearningInputs, agent: str, base: Reference, rate: float
 ) -> Wait[Reference | str | Missing]:
     """Ask a cue elsewhere to learn and blend: what waits for the reference, or for what went wrong."""
     cue: Any = lesson.cues[agent]
 
     def ask() -> Wait[Reference]:
         method, arguments = _to_learn(lesson, agent)
-        wait: Wait[Reference] = cue.ask_ahead("blend", shown(old), getattr(cue, method)(*arguments), rate)
+        wait: Wait[Reference] = cue.ask_ahead("blend", shown(base), getattr(cue, method)(*arguments), rate)
         return wait
 
     return partial(_collect, defer_faults(ask, FAULTS))
