@@ -45,23 +45,23 @@ def order_by(keys: Ints, count: int) -> tuple[Ints, Ints]:
 
 
 @compiled
-def group_pairs(rows: Ints, columns: Ints, count: int, found: int) -> tuple[Ints, Ints]:
+def group_pairs(rows: Ints, columns: Ints, count: int, column_count: int) -> tuple[Ints, Ints]:
     """The pairs (P,) ordered by the connected groups that they form, and where each group begins (G + 1,).
 
     Groups come in the order of their first pairs, and pairs keep their order within a group.
     """
-    parents = np.arange(count + found)
+    parents = np.arange(count + column_count)
     for p in range(rows.shape[0]):
         parents[find_group(parents, count + columns[p])] = find_group(parents, rows[p])
-    group_of, own = np.full(count + found, -1), np.empty(rows.shape[0], np.int64)
+    group_of, labels = np.full(count + column_count, -1), np.empty(rows.shape[0], np.int64)
     groups = 0
     for p in range(rows.shape[0]):
-        one = find_group(parents, rows[p])
-        if group_of[one] < 0:
-            group_of[one] = groups
+        root = find_group(parents, rows[p])
+        if group_of[root] < 0:
+            group_of[root] = groups
             groups += 1
-        own[p] = group_of[one]
-    return order_by(own, groups)
+        labels[p] = group_of[root]
+    return order_by(labels, groups)
 
 
 @compiled
@@ -71,35 +71,35 @@ def sum_over_sets(outer: Ints, inner: Ints, weights: Floats, most_outer: int, mo
     `outer` and `inner` (E,) number the ends from 0. O(2^most_inner E).
     """
     sets = 1 << most_inner
-    ahead, behind = np.zeros((most_outer + 1, sets)), np.ones((most_outer + 1, sets))
+    forward, backward = np.zeros((most_outer + 1, sets)), np.ones((most_outer + 1, sets))
     by_outer, starts = order_by(outer, most_outer)
-    ahead[0, 0] = 1.0
+    forward[0, 0] = 1.0
     for k in range(most_outer):
-        for taken in range(sets):
-            ahead[k + 1, taken] = ahead[k, taken]
-        for at in range(starts[k], starts[k + 1]):
-            e = by_outer[at]
+        for subset in range(sets):
+            forward[k + 1, subset] = forward[k, subset]
+        for place in range(starts[k], starts[k + 1]):
+            e = by_outer[place]
             bit = 1 << inner[e]
-            for taken in range(sets):
-                if taken & bit:
-                    ahead[k + 1, taken] += weights[e] * ahead[k, taken ^ bit]
+            for subset in range(sets):
+                if subset & bit:
+                    forward[k + 1, subset] += weights[e] * forward[k, subset ^ bit]
     for k in range(most_outer - 1, -1, -1):
-        for taken in range(sets):
-            behind[k, taken] = behind[k + 1, taken]
-        for at in range(starts[k], starts[k + 1]):
-            e = by_outer[at]
+        for subset in range(sets):
+            backward[k, subset] = backward[k + 1, subset]
+        for place in range(starts[k], starts[k + 1]):
+            e = by_outer[place]
             bit = 1 << inner[e]
-            for taken in range(sets):
-                if not taken & bit:
-                    behind[k, taken] += weights[e] * behind[k + 1, taken | bit]
-    found = np.zeros(weights.shape[0])
+            for subset in range(sets):
+                if not subset & bit:
+                    backward[k, subset] += weights[e] * backward[k + 1, subset | bit]
+    marginals = np.zeros(weights.shape[0])
     for e in range(weights.shape[0]):
         k, bit = outer[e], 1 << inner[e]
-        for taken in range(sets):
-            if not taken & bit:
-                found[e] += ahead[k, taken] * behind[k + 1, taken | bit]
-        found[e] *= weights[e] / behind[0, 0]
-    return found
+        for subset in range(sets):
+            if not subset & bit:
+                marginals[e] += forward[k, subset] * backward[k + 1, subset | bit]
+        marginals[e] *= weights[e] / backward[0, 0]
+    return marginals
 
 
 @compiled
@@ -114,32 +114,32 @@ def propagate(rows: Ints, columns: Ints, weights: Floats, sweeps: int, tolerance
     by_column, column_starts = order_by(columns, columns.max() + 1)
     to_rows, to_columns = np.ones(edges), np.zeros(edges)
     for _ in range(sweeps):
-        for at in range(edges):
-            e = by_row[at]
+        for place in range(edges):
+            e = by_row[place]
             total = 1.0
-            for other in range(row_starts[rows[e]], row_starts[rows[e] + 1]):
-                if other != at:
-                    total += weights[by_row[other]] * to_rows[by_row[other]]
+            for neighbour in range(row_starts[rows[e]], row_starts[rows[e] + 1]):
+                if neighbour != place:
+                    total += weights[by_row[neighbour]] * to_rows[by_row[neighbour]]
             to_columns[e] = weights[e] / total
-        moved = 0.0
-        for at in range(edges):
-            e = by_column[at]
+        change = 0.0
+        for place in range(edges):
+            e = by_column[place]
             total = 1.0
-            for other in range(column_starts[columns[e]], column_starts[columns[e] + 1]):
-                if other != at:
-                    total += to_columns[by_column[other]]
-            moved = max(moved, abs(to_rows[e] - 1.0 / total))
+            for neighbour in range(column_starts[columns[e]], column_starts[columns[e] + 1]):
+                if neighbour != place:
+                    total += to_columns[by_column[neighbour]]
+            change = max(change, abs(to_rows[e] - 1.0 / total))
             to_rows[e] = 1.0 / total
-        if moved <= tolerance:
+        if change <= tolerance:
             break
-    found = np.empty(edges)
+    marginals = np.empty(edges)
     for k in range(row_starts.shape[0] - 1):
         total = 1.0
-        for at in range(row_starts[k], row_starts[k + 1]):
-            total += weights[by_row[at]] * to_rows[by_row[at]]
-        for at in range(row_starts[k], row_starts[k + 1]):
-            found[by_row[at]] = weights[by_row[at]] * to_rows[by_row[at]] / total
-    return found
+        for place in range(row_starts[k], row_starts[k + 1]):
+            total += weights[by_row[place]] * to_rows[by_row[place]]
+        for place in range(row_starts[k], row_starts[k + 1]):
+            marginals[by_row[place]] = weights[by_row[place]] * to_rows[by_row[place]] / total
+    return marginals
 
 
 @compiled
@@ -148,25 +148,25 @@ def weigh_pairs(
     columns: Ints,
     weights: Floats,
     count: int,
-    found: int,
-    most: int,
+    detection_count: int,
+    limit: int,
     sweeps: int,
     tolerance: float,
 ) -> tuple[Floats, Bools]:
     """The marginals (P,) of all pairs, a group at a time, and whether each is exact.
 
-    A group is exact when one of its sides has at most `most` members.
+    A group is exact when one of its sides has at most `limit` members.
     """
-    order, starts = group_pairs(rows, columns, count, found)
+    order, starts = group_pairs(rows, columns, count, detection_count)
     marginals, is_exact = np.empty(rows.shape[0]), np.ones(rows.shape[0], np.bool_)
-    local = np.full(count + found, -1)
+    local = np.full(count + detection_count, -1)
     for group in range(starts.shape[0] - 1):
         pairs = order[starts[group] : starts[group + 1]]
         if pairs.shape[0] == 1:
             marginals[pairs[0]] = weights[pairs[0]] / (1.0 + weights[pairs[0]])
             continue
         own_rows, own_columns = np.empty(pairs.shape[0], np.int64), np.empty(pairs.shape[0], np.int64)
-        own = np.empty(pairs.shape[0])
+        pair_weights = np.empty(pairs.shape[0])
         row_count, column_count = 0, 0
         for k in range(pairs.shape[0]):
             t, n = rows[pairs[k]], count + columns[pairs[k]]
@@ -176,17 +176,17 @@ def weigh_pairs(
             if local[n] < 0:
                 local[n] = column_count
                 column_count += 1
-            own_rows[k], own_columns[k], own[k] = local[t], local[n], weights[pairs[k]]
-        exact = min(row_count, column_count) <= most
+            own_rows[k], own_columns[k], pair_weights[k] = local[t], local[n], weights[pairs[k]]
+        exact = min(row_count, column_count) <= limit
         if exact:
             if row_count < column_count:
                 own_rows, own_columns = own_columns, own_rows
             larger, smaller = max(row_count, column_count), min(row_count, column_count)
-            own = sum_over_sets(own_rows, own_columns, own, larger, smaller)
+            pair_weights = sum_over_sets(own_rows, own_columns, pair_weights, larger, smaller)
         else:
-            own = propagate(own_rows, own_columns, own, sweeps, tolerance)
+            pair_weights = propagate(own_rows, own_columns, pair_weights, sweeps, tolerance)
         for k in range(pairs.shape[0]):
-            marginals[pairs[k]], is_exact[pairs[k]] = own[k], exact
+            marginals[pairs[k]], is_exact[pairs[k]] = pair_weights[k], exact
     return marginals, is_exact
 
 
@@ -235,44 +235,44 @@ def marginalise(
 
     if not np.all(weights >= 0.0):
         raise ValueError(f"weight {weights[~(weights >= 0.0)][0]:g}; expected a number from 0 on")
-    count, found = shape
+    count, column_count = shape
     # In C order, so that the kernel has one compiled version only.
-    rows, columns = (np.ascontiguousarray(one, dtype=np.int64) for one in (rows, columns))
+    rows, columns = (np.ascontiguousarray(indices, dtype=np.int64) for indices in (rows, columns))
     cut = np.minimum(np.asarray(weights, dtype=np.float64), LARGEST)
-    pairs, is_exact = weigh_pairs(rows, columns, cut, count, found, most_exact, SWEEPS, TOLERANCE)
+    pairs, is_exact = weigh_pairs(rows, columns, cut, count, column_count, most_exact, SWEEPS, TOLERANCE)
     missed = 1.0 - np.bincount(rows, pairs, minlength=count)
-    free = 1.0 - np.bincount(columns, pairs, minlength=found)
+    free = 1.0 - np.bincount(columns, pairs, minlength=column_count)
     return Marginals(pairs, np.clip(missed, 0.0, 1.0), np.clip(free, 0.0, 1.0), is_exact)
 
 
 @compiled
 def follow_sizes(
-    boxes: Floats, mean: Floats, covariance: Floats, held: float, first_variance: float
+    boxes: Floats, mean: Floats, covariance: Floats, support: float, first_variance: float
 ) -> tuple[Floats, Floats]:
-    """Mean (2,) and covariance (2, 2) after boxes (N, 4), from those that rest on `held` detections.
+    """Mean (2,) and covariance (2, 2) after boxes (N, 4), from those that rest on `support` detections.
 
     Where that is none, the covariance is half theirs, half `first_variance`.
     """
     count = boxes.shape[0]
-    now, spread, after = np.zeros(2), np.zeros((2, 2)), np.empty((2, 2))
+    new_mean, spread, new_covariance = np.zeros(2), np.zeros((2, 2)), np.empty((2, 2))
     for n in range(count):
         for k in range(2):
-            now[k] += math.log(max(boxes[n, 2 + k], 1.0)) / count
+            new_mean[k] += math.log(max(boxes[n, 2 + k], 1.0)) / count
     for n in range(count):
         for i in range(2):
             for k in range(2):
-                away = math.log(max(boxes[n, 2 + i], 1.0)) - now[i]
-                spread[i, k] += away * (math.log(max(boxes[n, 2 + k], 1.0)) - now[k]) / count
-    share = count / (held + count) if held > 0 else 0.5
+                deviation = math.log(max(boxes[n, 2 + i], 1.0)) - new_mean[i]
+                spread[i, k] += deviation * (math.log(max(boxes[n, 2 + k], 1.0)) - new_mean[k]) / count
+    share = count / (support + count) if support > 0 else 0.5
     for i in range(2):
         for k in range(2):
-            before = first_variance if i == k else 0.0
-            if held > 0:
-                before = covariance[i, k] + share * (now[i] - mean[i]) * (now[k] - mean[k])
-            after[i, k] = (1.0 - share) * before + share * spread[i, k]
+            prior = first_variance if i == k else 0.0
+            if support > 0:
+                prior = covariance[i, k] + share * (new_mean[i] - mean[i]) * (new_mean[k] - mean[k])
+            new_covariance[i, k] = (1.0 - share) * prior + share * spread[i, k]
     for k in range(2):
-        now[k] = mean[k] + share * (now[k] - mean[k]) if held > 0 else now[k]
-    return now, after
+        new_mean[k] = mean[k] + share * (new_mean[k] - mean[k]) if support > 0 else new_mean[k]
+    return new_mean, new_covariance
 
 
 @compiled
@@ -282,10 +282,10 @@ def log_size_densities(boxes: Floats, mean: Floats, covariance: Floats, least_va
     c = covariance[1, 1] + least_variance
     determinant = a * c - b * b
     normal = 0.5 * math.log(determinant) + math.log(2.0 * math.pi)
-    found = np.empty(boxes.shape[0])
+    log_densities = np.empty(boxes.shape[0])
     for n in range(boxes.shape[0]):
         width, height = math.log(max(boxes[n, 2], 1.0)), math.log(max(boxes[n, 3], 1.0))
         u, v = width - mean[0], height - mean[1]
         d2 = (c * u * u - 2.0 * b * u * v + a * v * v) / determinant
-        found[n] = -0.5 * d2 - normal - width - height
-    return found
+        log_densities[n] = -0.5 * d2 - normal - width - height
+    return log_densities

@@ -52,11 +52,11 @@ def overlap_of_two(a: Floats, b: Floats) -> float:
     >>> overlap_of_two(np.array([0.0, 0.0, 2.0, 2.0]), np.array([1.0, 0.0, 2.0, 2.0]))
     0.3333333333333333
     """
-    (x, y, w, h), (u, v, across, down) = a.tolist(), b.tolist()
-    width = min(x + w / 2, u + across / 2) - max(x - w / 2, u - across / 2)
-    height = min(y + h / 2, v + down / 2) - max(y - h / 2, v - down / 2)
+    (x, y, w, h), (u, v, other_width, other_height) = a.tolist(), b.tolist()
+    width = min(x + w / 2, u + other_width / 2) - max(x - w / 2, u - other_width / 2)
+    height = min(y + h / 2, v + other_height / 2) - max(y - h / 2, v - other_height / 2)
     intersection = max(width, 0.0) * max(height, 0.0)
-    union = w * h + across * down - intersection
+    union = w * h + other_width * other_height - intersection
     return intersection / union if union > 0 else 0.0
 
 

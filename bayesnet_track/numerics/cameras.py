@@ -34,7 +34,7 @@ class CameraError(ValueError):
 
 
 class GroundView(Protocol):
-    """What a camera must offer; all in float64, a row each."""
+    """Interface of a camera over the ground; all in float64, a row each."""
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -94,10 +94,10 @@ class Camera:
             object.__setattr__(self, "distortion", distortion[:12])
         _check_matrix(self.matrix)
         check_rotation(self.rotation)
-        allowed = (4,) if self.fisheye else COUNTS
-        if len(self.distortion) not in allowed:
+        counts = (4,) if self.fisheye else COUNTS
+        if len(self.distortion) not in counts:
             raise CameraError(
-                f"{len(distortion)} distortion coefficients; allowed: {', '.join(map(str, allowed))}"
+                f"{len(distortion)} distortion coefficients; allowed: {', '.join(map(str, counts))}"
                 + ("" if self.fisheye else " in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4")
             )
 
@@ -119,9 +119,9 @@ class Camera:
     def _pixels(self, ideal: Floats) -> tuple[Floats, Floats]:
         """Pixels (..., 2) of normalised points (..., 2), and derivatives (..., 2, 2)."""
         points, derivatives = distort(ideal, self.distortion, fisheye=self.fisheye)
-        far = np.hypot(ideal[..., 0], ideal[..., 1]) > self._reach
+        is_far = np.hypot(ideal[..., 0], ideal[..., 1]) > self._reach
         pixels = points @ self.matrix[:2, :2].T + self.matrix[:2, 2]
-        return np.where(far[..., None], np.nan, pixels), self.matrix[:2, :2] @ derivatives
+        return np.where(is_far[..., None], np.nan, pixels), self.matrix[:2, :2] @ derivatives
 
     def rays(self, pixels: Floats) -> Floats:
         """Ideal points (N, 2), in camera coordinates at z = 1, of pixels (N, 2)."""
@@ -237,10 +237,10 @@ def camera_of_projection(projection: Floats, size: tuple[int, int] | None = None
         CameraError: a wrong shape, or a matrix of no camera.
     """
     matrix = _finite(projection, "projection", (3, 4))
-    left = matrix[:, :3]
-    if abs(np.linalg.det(left)) < 1e-12 * max(float(np.abs(left).max()) ** 3, 1e-300):
+    block = matrix[:, :3]
+    if abs(np.linalg.det(block)) < 1e-12 * max(float(np.abs(block).max()) ** 3, 1e-300):
         raise CameraError("the projection is not that of a camera: its first three columns are dependent")
-    matrix = matrix * np.sign(np.linalg.det(left))
+    matrix = matrix * np.sign(np.linalg.det(block))
     orthogonal, triangle = np.linalg.qr(np.flipud(matrix[:, :3]).T)
     intrinsic, rotation = np.flipud(triangle.T)[:, ::-1], orthogonal.T[::-1]
     signs = np.sign(np.diag(intrinsic))
@@ -265,9 +265,9 @@ def check_rotation(rotation: Floats) -> None:
         )
 
 
-def _same(one: Any, other: Any) -> bool:
-    """Whether all fields of two dataclasses are equal, arrays by value."""
-    return all(np.array_equal(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+def _same(first: Any, second: Any) -> bool:
+    """True if all fields of two dataclasses are equal, arrays by value."""
+    return all(np.array_equal(getattr(first, f.name), getattr(second, f.name)) for f in fields(first))
 
 
 def _finite(array: Floats, name: str, shape: tuple[int, ...]) -> Floats:

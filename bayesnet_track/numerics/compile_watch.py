@@ -47,8 +47,8 @@ class CompileWatch:
     def ends(self, kernel: Hashable) -> None:
         """It is compiled; those that failed within it are forgotten."""
         while self._open:
-            one, began = self._open.pop()
-            if one == kernel:
+            innermost, began = self._open.pop()
+            if innermost == kernel:
                 if not self._open:
                     spent = self._clock() - began
                     self.seconds += spent

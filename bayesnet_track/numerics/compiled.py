@@ -36,30 +36,30 @@ def fingerprint(kernel: Any) -> str:
     return hashlib.sha256(repr(_describe(kernel, ())).encode()).hexdigest()
 
 
-def _describe(value: Any, within: tuple[int, ...]) -> object:
+def _describe(value: Any, callers: tuple[int, ...]) -> object:
     """Something whose `repr` differs whenever `value` would be compiled differently."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, bool | int | float | complex | str | bytes | np.generic | None):
         return type(value).__qualname__, repr(value)
     if isinstance(value, tuple | list):
-        return type(value).__qualname__, [_describe(one, within) for one in value]
+        return type(value).__qualname__, [_describe(element, callers) for element in value]
     if isinstance(value, set | frozenset):
-        return sorted(repr(_describe(one, within)) for one in value)
+        return sorted(repr(_describe(element, callers)) for element in value)
     if isinstance(value, dict):
-        return [(name, _describe(one, within)) for name, one in sorted(value.items())]
+        return [(name, _describe(element, callers)) for name, element in sorted(value.items())]
     function = getattr(value, "py_func", value)
     if not isinstance(function, FunctionType):
         return getattr(value, "__qualname__", type(value).__qualname__)
-    if id(function) in within:  # it calls itself
+    if id(function) in callers:  # it calls itself
         return function.__qualname__
-    within = (*within, id(function))
+    callers = (*callers, id(function))
     return (
         function.__qualname__,
         _code(function.__code__),
-        [(name, _describe(one, within)) for name, one in _globals(function)],
-        [_describe(cell.cell_contents, within) for cell in function.__closure__ or ()],
-        _describe(_settings(value), within),
+        [(name, _describe(element, callers)) for name, element in _globals(function)],
+        [_describe(cell.cell_contents, callers) for cell in function.__closure__ or ()],
+        _describe(_settings(value), callers),
     )
 
 
@@ -70,15 +70,17 @@ def _settings(kernel: Any) -> dict[str, Any]:
 
 
 def _code(code: CodeType) -> object:
-    constants = [_code(one) if isinstance(one, CodeType) else repr(one) for one in code.co_consts]
+    constants = [
+        _code(constant) if isinstance(constant, CodeType) else repr(constant) for constant in code.co_consts
+    ]
     return code.co_code, code.co_names, constants
 
 
 def _names(code: CodeType) -> Iterator[str]:
     yield from code.co_names
-    for one in code.co_consts:
-        if isinstance(one, CodeType):
-            yield from _names(one)
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
 
 
 def _globals(function: FunctionType) -> Iterator[tuple[str, Any]]:
@@ -160,10 +162,10 @@ def _compiled(function: Kernel, relaxed: bool | set[str]) -> Kernel:
     load, save = _at_best(cache.load_overload), _at_best(cache.save_overload)
 
     def load_or_begin(*arguments: Any) -> Any:
-        found = load(*arguments)
-        if found is None:
+        overload = load(*arguments)
+        if overload is None:
             WATCH.begins(function)
-        return found
+        return overload
 
     def save_at_the_end(*arguments: Any) -> Any:
         WATCH.ends(function)
@@ -221,20 +223,20 @@ class SealedFiles(IndexDataCacheFile):  # type: ignore[misc,unused-ignore]
             return {}
         if not data.startswith(version) or _is_numbas(data):
             return {}
-        whole = unsealed(data[len(version) :])
-        if whole is None:
+        content = unsealed(data[len(version) :])
+        if content is None:
             _drop(path)
             return {}
-        stamp, overloads = pickle.loads(whole)
+        stamp, overloads = pickle.loads(content)
         return overloads if stamp == self._source_stamp else {}
 
     def _load_data(self, name: str) -> Any:
         path = Path(self._data_path(name))
-        whole = unsealed(path.read_bytes())
-        if whole is None:
+        content = unsealed(path.read_bytes())
+        if content is None:
             _drop(path)
             raise FileNotFoundError(str(path))  # as Numba takes it: compiled anew, and replaced
-        return pickle.loads(whole)
+        return pickle.loads(content)
 
 
 def seal(data: bytes) -> bytes:
@@ -248,8 +250,8 @@ def unsealed(data: bytes) -> bytes | None:
     >>> unsealed(b"code" + seal(b"code")), unsealed(b"c0de" + seal(b"code")), unsealed(b"code")
     (b'code', None, None)
     """
-    held = data[:-SEAL_BYTES]
-    return held if data[-SEAL_BYTES:] == seal(held) else None
+    content = data[:-SEAL_BYTES]
+    return content if data[-SEAL_BYTES:] == seal(content) else None
 
 
 def is_whole(path: Path) -> bool:

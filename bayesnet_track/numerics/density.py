@@ -56,8 +56,9 @@ def add_sums(
     """
     size, count = points.shape
     y, part = np.empty(_BLOCK, np.float32), np.empty(_BLOCK, np.float32)
-    one, half, sixth, last = np.float32(1), np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)
-    most = np.float32(0.6)  # beyond, exp(-32 * 0.6) is below the error
+    unity, half = np.float32(1), np.float32(1 / 2)
+    sixth, twenty_fourth = np.float32(1 / 6), np.float32(1 / 24)
+    cutoff = np.float32(0.6)  # beyond, exp(-32 * 0.6) is below the error
     eighth = np.float32(0.125)
     for first in range(0, count, _BLOCK):
         for group in range(spans.shape[0]):
@@ -78,8 +79,8 @@ def add_sums(
                     for m in range(width):
                         wa, wb = (a[m] - ma) * sa, (b[m] - mb) * sb
                         wc, wd = (c[m] - mc) * sc, (d[m] - md) * sd
-                        t = min((wa * wa + wb * wb) + (wc * wc + wd * wd), most)
-                        e = one - t * (one - t * (half - t * (sixth - t * last)))
+                        t = min((wa * wa + wb * wb) + (wc * wc + wd * wd), cutoff)
+                        e = unity - t * (unity - t * (half - t * (sixth - t * twenty_fourth)))
                         e *= e
                         e *= e
                         e *= e
@@ -89,15 +90,15 @@ def add_sums(
                     continue
                 y[:width] = np.float32(0)
                 for k in range(0, size, 2):
-                    row, other = points[k, low:high], points[k + 1, low:high]
+                    row, next_row = points[k, low:high], points[k + 1, low:high]
                     mean, scale = means[n, k], precisions[n, k] * eighth
                     other_mean, other_scale = means[n, k + 1], precisions[n, k + 1] * eighth
                     for m in range(width):
-                        away, other_away = (row[m] - mean) * scale, (other[m] - other_mean) * other_scale
-                        y[m] += away * away + other_away * other_away
+                        gap, next_gap = (row[m] - mean) * scale, (next_row[m] - other_mean) * other_scale
+                        y[m] += gap * gap + next_gap * next_gap
                 for m in range(width):
-                    t = min(y[m], most)
-                    e = one - t * (one - t * (half - t * (sixth - t * last)))
+                    t = min(y[m], cutoff)
+                    e = unity - t * (unity - t * (half - t * (sixth - t * twenty_fourth)))
                     e *= e
                     e *= e
                     e *= e
@@ -115,8 +116,8 @@ def exact_sum(point: Floats, peaks: Floats, means: Floats, precisions: Floats) -
     for n in range(peaks.shape[0]):
         square = 0.0
         for k in range(point.shape[0]):
-            away = (point[k] - means[n, k]) * precisions[n, k]
-            square += away * away
+            deviation = (point[k] - means[n, k]) * precisions[n, k]
+            square += deviation * deviation
         total += peaks[n] * np.exp(-0.5 * square)
     return total
 
@@ -125,13 +126,13 @@ def exact_sum(point: Floats, peaks: Floats, means: Floats, precisions: Floats) -
 def _peaks(log_weights: Floats, precisions: Floats) -> Floats:
     """(N,) heights of the components, the largest 1, so that sums stay finite."""
     log_peaks = np.empty(log_weights.shape[0])
-    before, log_density = 1.0, 0.0
+    previous, log_density = 1.0, 0.0
     for n in range(log_weights.shape[0]):
         density = 1.0
         for k in range(precisions.shape[1]):
             density *= precisions[n, k]
-        if density != before:  # often all are equal, and a logarithm is expensive
-            before, log_density = density, np.log(density)
+        if density != previous:  # often all are equal, and a logarithm is expensive
+            previous, log_density = density, np.log(density)
         log_peaks[n] = log_weights[n] + log_density
     peaks: Floats = np.exp(log_peaks - log_peaks.max())
     return peaks
@@ -149,23 +150,23 @@ def _moments(peaks: Floats, means: Floats, precisions: Floats) -> tuple[Floats, 
     for n in range(means.shape[0]):
         share = peaks[n] / total
         for k in range(size):
-            away = means[n, k] - centre[k]
-            spread[k] += share * (away * away + 1.0 / (precisions[n, k] * precisions[n, k]))
+            deviation = means[n, k] - centre[k]
+            spread[k] += share * (deviation * deviation + 1.0 / (precisions[n, k] * precisions[n, k]))
     return centre, spread
 
 
 @compiled
 def _likely(log_factors: Floats, points: Floats, centre: Floats, spread: Floats) -> int:
     """The winner if the mixture were one Gaussian."""
-    guess, best = 0, -np.inf
+    guess, highest = 0, -np.inf
     half = 0.5 / spread
     for m in range(points.shape[0]):
         value = log_factors[m]
         for k in range(points.shape[1]):
-            away = points[m, k] - centre[k]
-            value -= half[k] * away * away
-        if value > best:
-            guess, best = m, value
+            deviation = points[m, k] - centre[k]
+            value -= half[k] * deviation * deviation
+        if value > highest:
+            guess, highest = m, value
     return guess
 
 
@@ -186,20 +187,20 @@ def _in_cells(values: Floats) -> tuple[Ints, Ints, float, float]:
         starts[_cell(value, low, scale) + 1] += 1
     for cell in range(_CELLS):
         starts[cell + 1] += starts[cell]
-    after = starts.copy()
+    cursors = starts.copy()
     for n in range(values.shape[0]):
         cell = _cell(values[n], low, scale)
-        order[after[cell]] = n
-        after[cell] += 1
+        order[cursors[cell]] = n
+        cursors[cell] += 1
     return order, starts, low, scale
 
 
 @compiled
 def _add_some(
-    least: float,
-    most: float,
+    lower: float,
+    upper: float,
     points: Floats,
-    chosen: Ints,
+    candidates: Ints,
     peaks: Floats,
     means: Floats,
     precisions: Floats,
@@ -207,49 +208,49 @@ def _add_some(
     spread: Floats,
     sums: Floats,
 ) -> tuple[float, float]:
-    """Add the components with least < peak <= most to the sums of the `chosen` points.
+    """Add the components with lower < peak <= upper to the sums of the points `candidates`.
 
     Returns their sum of peaks, and the largest error of `sums` by rounding coordinates, as a share of it.
     """
     size, axis = points.shape[1], 0
     even = size + size % 2
-    some = np.flatnonzero((peaks > least) & (peaks <= most))
-    rows = np.zeros((even, (chosen.shape[0] + _LANES - 1) // _LANES * _LANES), np.float32)
+    some = np.flatnonzero((peaks > lower) & (peaks <= upper))
+    rows = np.zeros((even, (candidates.shape[0] + _LANES - 1) // _LANES * _LANES), np.float32)
     mus, scales = np.zeros((some.shape[0], even), np.float32), np.ones((some.shape[0], even), np.float32)
     heights, weight, steepest = np.empty(some.shape[0], np.float32), 0.0, 0.0
     for k in range(size):  # along which they are farthest apart, in standard deviations
         if spread[k] * precisions[0, k] ** 2 > spread[axis] * precisions[0, axis] ** 2:
             axis = k
-    places, starts, low, scale = _in_cells(points[chosen, axis])
+    places, starts, low, scale = _in_cells(points[candidates, axis])
     if some.shape[0] == 0:
         return 0.0, 0.0
     some = some[_in_cells(means[some, axis])[0]]
     extent = np.zeros(size)
     for k in range(size):
         row = rows[k]
-        for m in range(chosen.shape[0]):
-            away = points[chosen[places[m]], k] - centre[k]
-            row[m] = away
-            extent[k] = max(extent[k], abs(away))
+        for m in range(candidates.shape[0]):
+            deviation = points[candidates[places[m]], k] - centre[k]
+            row[m] = deviation
+            extent[k] = max(extent[k], abs(deviation))
     spans = np.empty(((some.shape[0] + _GROUP - 1) // _GROUP, 2), np.int64)
     for group in range(spans.shape[0]):
-        first, last = np.inf, -np.inf
+        first, end = np.inf, -np.inf
         for i in range(group * _GROUP, min((group + 1) * _GROUP, some.shape[0])):
             n = some[i]
             heights[i] = peaks[n]
             weight += peaks[n]
             reach = _REACH / precisions[n, axis]
-            first, last = min(first, means[n, axis] - reach), max(last, means[n, axis] + reach)
+            first, end = min(first, means[n, axis] - reach), max(end, means[n, axis] + reach)
             for k in range(size):
-                away = means[n, k] - centre[k]
-                mus[i, k], scales[i, k] = away, precisions[n, k]
-                steepest = max(steepest, (extent[k] + abs(away)) * precisions[n, k])
+                deviation = means[n, k] - centre[k]
+                mus[i, k], scales[i, k] = deviation, precisions[n, k]
+                steepest = max(steepest, (extent[k] + abs(deviation)) * precisions[n, k])
         spans[group, 0] = starts[_cell(first, low, scale)]
-        spans[group, 1] = starts[_cell(last, low, scale) + 1]
-    found = np.zeros(rows.shape[1])
-    add_sums(rows, heights, mus, scales, spans, found)
-    for m in range(chosen.shape[0]):
-        sums[places[m]] += found[m]
+        spans[group, 1] = starts[_cell(end, low, scale) + 1]
+    partial_sums = np.zeros(rows.shape[1])
+    add_sums(rows, heights, mus, scales, spans, partial_sums)
+    for m in range(candidates.shape[0]):
+        sums[places[m]] += partial_sums[m]
     # A coordinate, its mean and their difference are rounded to 2^-24; the slope of exp(-a^2 / 2) is < .61.
     return weight, 0.61 * 2.0 * 2.0**-24 * size * steepest
 
@@ -267,29 +268,31 @@ def likeliest(
     centre, spread = _moments(peaks, means, precisions)
     guess = _likely(log_factors, points, centre, spread)
     beat = log_factors[guess] + np.log(exact_sum(points[guess], peaks, means, precisions))
-    chosen = np.flatnonzero(log_factors + np.log(total) >= beat - _SLACK)
-    sums = np.zeros(chosen.shape[0])
-    rest, rounding = total, 0.0
+    candidates = np.flatnonzero(log_factors + np.log(total) >= beat - _SLACK)
+    sums = np.zeros(candidates.shape[0])
+    remaining, rounding = total, 0.0
     lightest = FAST_ERROR / peaks.shape[0]
     heavy = _HEAVY if 2 * (peaks > _HEAVY).sum() < peaks.shape[0] else lightest
-    for least, most in ((heavy, 1.0), (lightest, heavy)):
-        if chosen.shape[0] < 2:
+    for lower, upper in ((heavy, 1.0), (lightest, heavy)):
+        if candidates.shape[0] < 2:
             break
-        weight, worst = _add_some(least, most, points, chosen, peaks, means, precisions, centre, spread, sums)
-        rest, rounding = max(rest - weight, 0.0), max(rounding, worst)
+        weight, worst = _add_some(
+            lower, upper, points, candidates, peaks, means, precisions, centre, spread, sums
+        )
+        remaining, rounding = max(remaining - weight, 0.0), max(rounding, worst)
         error = total * (FAST_ERROR + rounding)
-        factors = log_factors[chosen]
+        factors = log_factors[candidates]
         beat = max(beat, (factors + np.log(np.maximum(sums - error, 0.0))).max())
-        left = factors + np.log(sums + (error + rest)) >= beat - _SLACK
-        chosen, sums = chosen[left], sums[left]
-        if chosen.shape[0] == 1 and sums[0] > error:
-            return int(chosen[0])
-    best, where = -np.inf, -1
-    for m in chosen:
+        keep = factors + np.log(sums + (error + remaining)) >= beat - _SLACK
+        candidates, sums = candidates[keep], sums[keep]
+        if candidates.shape[0] == 1 and sums[0] > error:
+            return int(candidates[0])
+    highest, winner = -np.inf, -1
+    for m in candidates:
         value = log_factors[m] + np.log(exact_sum(points[m], peaks, means, precisions))
-        if value > best:
-            best, where = value, int(m)
-    return where
+        if value > highest:
+            highest, winner = value, int(m)
+    return winner
 
 
 def likeliest_of_each(
@@ -337,9 +340,9 @@ def mixture_argmax(
 
     # One compiled version only: writable and in C order.
     arrays = (log_factors, points, log_weights, means, 1.0 / sds)
-    best = int(likeliest(*(plain(array) for array in arrays)))
-    if best >= 0:
-        return best
+    index = int(likeliest(*(plain(array) for array in arrays)))
+    if index >= 0:
+        return index
     # Every point is so far from every component that all densities are 0 in floating point.
     return int(np.argmax(log_factors + mixture_log_density(points, log_weights, means, sds)))
 
@@ -352,25 +355,25 @@ HALVINGS = 18
 def quantiles(points: Floats, sds: Floats, shares: Floats, levels: Floats) -> Floats:
     """(K, L) quantiles of K mixtures of (K, M) points, blurred by each of (S,) `sds` in its share above 0."""
     count, size = points.shape
-    found = np.empty((count, len(levels)))
+    values = np.empty((count, len(levels)))
     reach = 9.0 * sds.max()
     for k in range(count):
-        least, most = points[k].min() - reach, points[k].max() + reach
+        lowest, highest = points[k].min() - reach, points[k].max() + reach
         for n in range(len(levels)):
-            low, high = least, most
+            low, high = lowest, highest
             for _ in range(HALVINGS):
                 middle = 0.5 * (low + high)
-                below = 0.0
+                mass = 0.0
                 for m in range(size):
-                    away = (middle - points[k, m]) / math.sqrt(2.0)
+                    deviation = (middle - points[k, m]) / math.sqrt(2.0)
                     for s in range(len(sds)):
-                        below += shares[s] * 0.5 * math.erfc(-away / sds[s])
-                if below < levels[n] * size:
+                        mass += shares[s] * 0.5 * math.erfc(-deviation / sds[s])
+                if mass < levels[n] * size:
                     low = middle
                 else:
                     high = middle
-            found[k, n] = 0.5 * (low + high)
-    return found
+            values[k, n] = 0.5 * (low + high)
+    return values
 
 
 def mixture_quantiles(
@@ -386,10 +389,10 @@ def mixture_quantiles(
     """
 
     centres = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=np.float64)))
-    wanted = np.array(levels, dtype=np.float64)
-    heard = [(sd, share) for sd, share in zip(sds, shares, strict=True) if share > 0.0]
-    widths, weights = np.array(heard, dtype=np.float64).T.copy()
-    return quantiles(centres, widths, weights, wanted)
+    targets = np.array(levels, dtype=np.float64)
+    components = [(sd, share) for sd, share in zip(sds, shares, strict=True) if share > 0.0]
+    widths, weights = np.array(components, dtype=np.float64).T.copy()
+    return quantiles(centres, widths, weights, targets)
 
 
 Rows = tuple[tuple[float, ...], ...]
@@ -432,11 +435,11 @@ def _over(chain: Chain, dt: float) -> Floats:
     if chain.by_rates:
         from scipy.linalg import expm  # here, because it takes long to import
 
-        found = np.maximum(expm(matrix * dt), 0.0)
+        transition = np.maximum(expm(matrix * dt), 0.0)
     else:
-        whole = int(dt)
-        step = (1.0 - (dt - whole)) * np.eye(len(matrix)) + (dt - whole) * matrix
-        found = np.linalg.matrix_power(matrix, whole) @ step
-    found = np.asarray(found / found.sum(axis=1, keepdims=True))
-    found.setflags(write=False)
-    return found
+        power = int(dt)
+        step = (1.0 - (dt - power)) * np.eye(len(matrix)) + (dt - power) * matrix
+        transition = np.linalg.matrix_power(matrix, power) @ step
+    transition = np.asarray(transition / transition.sum(axis=1, keepdims=True))
+    transition.setflags(write=False)
+    return transition

@@ -41,16 +41,16 @@ def gaussian_taps(shift: float, sd: float) -> tuple[int, Floats]:
     (2.25, 0.0)
     """
     base = round(shift)
-    rest = shift - base
+    fraction = shift - base
     if sd >= SUBCELL:
         reach = int(np.ceil(REACH * sd))
-        taps = np.exp(-0.5 * ((np.arange(-reach, reach + 1) - rest) / sd) ** 2)
+        taps = np.exp(-0.5 * ((np.arange(-reach, reach + 1) - fraction) / sd) ** 2)
         taps /= taps.sum()
     else:
         reach = 3
-        moments = [1.0, rest]
+        moments = [1.0, fraction]
         for n in range(2, 7):
-            moments.append(rest * moments[-1] + (n - 1) * sd**2 * moments[-2])
+            moments.append(fraction * moments[-1] + (n - 1) * sd**2 * moments[-2])
         taps = _from_moments() @ np.array(moments)
     taps.setflags(write=False)
     return base - reach, taps
@@ -70,10 +70,10 @@ def spreading_matrix(size: int, factor: float, sd: float) -> Floats:
     """
     matrix = np.zeros((size, size))
     middle = (size - 1) / 2
-    for old in range(size):
-        first, taps = gaussian_taps(factor * (old - middle) + middle, sd)
+    for column in range(size):
+        first, taps = gaussian_taps(factor * (column - middle) + middle, sd)
         cells = np.clip(first + np.arange(len(taps)), 0, size - 1)
-        np.add.at(matrix[:, old], cells, taps)
+        np.add.at(matrix[:, column], cells, taps)
     return matrix
 
 
@@ -116,39 +116,44 @@ def false_reset_level(prior: Floats, likelihood: Floats, rate: float) -> float:
         The level; 0 (never) when the likelihood is the same everywhere.
     """
     floor, peak = float(likelihood.min()), np.unravel_index(int(np.argmax(likelihood)), likelihood.shape)
-    above = likelihood - floor
-    if above.max() <= 0:
+    excess = likelihood - floor
+    if excess.max() <= 0:
         return 0.0
     sizes, axes = tuple(2 * n for n in prior.shape), tuple(range(prior.ndim))
     # Correlations by FFT over arrays padded to twice the size, so that nothing wraps round.
-    inside = tuple(slice(0, n) for n in prior.shape)
+    region = tuple(slice(0, n) for n in prior.shape)
     centred = np.zeros(sizes)
-    centred[inside] = above
-    centred = np.roll(centred, [-int(at) for at in peak], axes)
-    known = np.fft.rfftn(prior, sizes, axes)
-    error = np.fft.rfftn(_peak_error(above, peak, sizes), sizes, axes)
-    expected = np.fft.irfftn(known * np.conj(np.fft.rfftn(centred, sizes, axes)), sizes, axes)[inside] + floor
-    chance = np.clip(np.fft.irfftn(known * error, sizes, axes)[inside], 0.0, None)
+    centred[region] = excess
+    centred = np.roll(centred, [-int(place) for place in peak], axes)
+    prior_transform = np.fft.rfftn(prior, sizes, axes)
+    error = np.fft.rfftn(_peak_error(excess, peak, sizes), sizes, axes)
+    expected = (
+        np.fft.irfftn(prior_transform * np.conj(np.fft.rfftn(centred, sizes, axes)), sizes, axes)[region]
+        + floor
+    )
+    chance = np.clip(np.fft.irfftn(prior_transform * error, sizes, axes)[region], 0.0, None)
     gammas = expected.ravel() / likelihood.mean()
     order = np.argsort(gammas)
     cumulative = np.cumsum(chance.ravel()[order])
     return float(gammas[order][np.searchsorted(cumulative, rate * cumulative[-1])])
 
 
-def _peak_error(above: Floats, peak: tuple[np.intp, ...], sizes: tuple[int, ...]) -> Floats:
+def _peak_error(excess: Floats, peak: tuple[np.intp, ...], sizes: tuple[int, ...]) -> Floats:
     """Masses (sizes) of a Gaussian around cell 0, as wide as what is above half of the peak.
 
     An even ellipsoid of d dimensions has variance a^2 / (d + 2) along a half axis a, and a Gaussian falls to
     half at a^2 = 2 ln 2 sd^2. A cell's own 1 / 12 is added.
     """
-    used = [k for k, size in enumerate(above.shape) if size > 1]
-    if not used:
+    axes = [k for k, size in enumerate(excess.shape) if size > 1]
+    if not axes:
         return np.ones(sizes)
-    off = np.argwhere(above >= 0.5 * above.max())[:, used] - np.array([peak[k] for k in used])
-    spread = (len(used) + 2) / (2.0 * np.log(2.0)) * (off.T @ off) / len(off) + np.eye(len(used)) / 12.0
+    offsets = np.argwhere(excess >= 0.5 * excess.max())[:, axes] - np.array([peak[k] for k in axes])
+    spread = (len(axes) + 2) / (2.0 * np.log(2.0)) * (offsets.T @ offsets) / len(offsets) + np.eye(
+        len(axes)
+    ) / 12.0
     steps = np.meshgrid(*(np.fft.fftfreq(size, 1.0 / size) for size in sizes), indexing="ij")
-    away = np.stack([steps[k] for k in used], axis=-1)
-    return np.asarray(np.exp(-0.5 * np.einsum("...k,kl,...l", away, np.linalg.inv(spread), away)))
+    deviations = np.stack([steps[k] for k in axes], axis=-1)
+    return np.asarray(np.exp(-0.5 * np.einsum("...k,kl,...l", deviations, np.linalg.inv(spread), deviations)))
 
 
 def nearest_probable(points: Floats, weights: Floats, toward: Floats, epsilon: float) -> int:
@@ -166,8 +171,8 @@ def nearest_probable(points: Floats, weights: Floats, toward: Floats, epsilon: f
     >>> [nearest_probable(points, np.array([1.0, 0.4, 0.9]), np.array([2.0]), e) for e in (1.0, 0.8, 0.3)]
     [0, 0, 1]
     """
-    far = np.sum((points - toward) ** 2, axis=1)
-    return int(np.argmin(np.where(weights >= epsilon * weights.max(), far, np.inf)))
+    squared_distances = np.sum((points - toward) ** 2, axis=1)
+    return int(np.argmin(np.where(weights >= epsilon * weights.max(), squared_distances, np.inf)))
 
 
 _EXACT = 1e12
@@ -175,25 +180,25 @@ _EXACT = 1e12
 
 
 @lru_cache(maxsize=64)
-def vouched_share(inside: float, trials: float, confidence: float) -> float:
+def vouched_share(share: float, trials: float, confidence: float) -> float:
     """The largest share p0 that the test with `confidence` still grants: the lower Clopper-Pearson bound.
 
     Args:
-        inside: share of the sample that has the property, 0 to 1.
-        trials: its effective size, above 0; inf when `inside` is exact.
+        share: share of the sample that has the property, 0 to 1.
+        trials: its effective size, above 0; inf when `share` is exact.
         confidence: one-sided, 0.5 to 1.
 
     Returns:
-        p at which P(X >= inside * trials) of X ~ Binomial(trials, p) is 1 - confidence, between whole numbers
-        continued as the incomplete beta function; `inside` itself when exact.
+        p at which P(X >= share * trials) of X ~ Binomial(trials, p) is 1 - confidence, between whole numbers
+        continued as the incomplete beta function; `share` itself when exact.
 
     >>> round(vouched_share(1.0, 29, 0.95), 4), vouched_share(0.7, float("inf"), 0.95)
     (0.9019, 0.7)
     """
-    inside = min(max(inside, 0.0), 1.0)
-    successes = inside * trials
+    share = min(max(share, 0.0), 1.0)
+    successes = share * trials
     if trials >= _EXACT or successes == 0.0:
-        return inside
+        return share
     from scipy.special import betaincinv  # here, because it takes long to import
 
     return float(betaincinv(successes, trials - successes + 1.0, 1.0 - confidence))
@@ -220,16 +225,16 @@ def p_value(value: Floats, weights: Floats, means: Floats, covariances: Floats) 
     from scipy.special import chdtrc, ndtr, ndtri  # here, because it takes long to import
 
     lower = np.linalg.cholesky(covariances)
-    away = np.linalg.solve(lower, (value - means)[..., None])[..., 0]
+    whitened = np.linalg.solve(lower, (value - means)[..., None])[..., 0]
     if len(means) == 1:
-        return round(float(chdtrc(len(value), away[0] @ away[0])), DIGITS)
+        return round(float(chdtrc(len(value), whitened[0] @ whitened[0])), DIGITS)
     squared, log = 0.0, np.log(np.maximum(weights, 1e-300))
     for k in range(len(value)):
         shares = np.exp(log - log.max())
         shares /= shares.sum()
-        below, above = float(shares @ ndtr(away[:, k])), float(shares @ ndtr(-away[:, k]))
-        squared += float(ndtri(max(min(below, above), 1e-300))) ** 2
-        log = log - 0.5 * away[:, k] ** 2 - np.log(lower[:, k, k])
+        lower_tail, upper_tail = float(shares @ ndtr(whitened[:, k])), float(shares @ ndtr(-whitened[:, k]))
+        squared += float(ndtri(max(min(lower_tail, upper_tail), 1e-300))) ** 2
+        log = log - 0.5 * whitened[:, k] ** 2 - np.log(lower[:, k, k])
     return round(float(chdtrc(len(value), squared)), DIGITS)
 
 
@@ -266,9 +271,9 @@ def weighted_mass_in_disc(points: Floats, weights: Floats, centre: Floats, radiu
     >>> weighted_mass_in_disc(np.array([[0.0, 3], [4, 0]]), np.array([0.25, 0.75]), np.zeros(2), 3.0)
     0.25
     """
-    away = points - centre
-    inside = np.einsum("nk,nk->n", away, away) <= radius * radius
-    return min(float(weights[inside].sum()), 1.0)
+    offsets = points - centre
+    in_disc = np.einsum("nk,nk->n", offsets, offsets) <= radius * radius
+    return min(float(weights[in_disc].sum()), 1.0)
 
 
 def gaussian_mass_in_disc(offset: Floats, covariance: Floats, radius: float) -> float:
@@ -336,7 +341,7 @@ def follow(
     if frames is None:
         return {}
     factors, share = spread_of(reference, len(sds)).copy(), -np.expm1(-1.0 / frames)
-    for k, (found, sd) in enumerate(zip(errors, sds, strict=True)):
-        if len(found):
-            factors[k] += share * (np.abs(found).mean() / (MEAN_DEVIATION * sd) - factors[k])
+    for k, (residuals, sd) in enumerate(zip(errors, sds, strict=True)):
+        if len(residuals):
+            factors[k] += share * (np.abs(residuals).mean() / (MEAN_DEVIATION * sd) - factors[k])
     return {SPREAD: np.clip(factors, *BOUNDS)}

@@ -34,7 +34,7 @@ def factor(matrix: Floats, lower: Floats, size: int) -> float:
 
 
 @compiled
-def root_of(covariance: Floats, lower: Floats, rest: Floats, scale: Floats, alone: float) -> int:
+def root_of(covariance: Floats, lower: Floats, remainder: Floats, scale: Floats, least_share: float) -> int:
     """Fill `lower` (D, K) as `numerics.gaussian.root` does; K."""
     size = covariance.shape[0]
     along = np.empty(size)  # a column of `lower`, its values one apart in memory
@@ -43,17 +43,17 @@ def root_of(covariance: Floats, lower: Floats, rest: Floats, scale: Floats, alon
         scale[i] = sd if sd > 0 else 1.0
     for i in range(size):
         for j in range(size):
-            rest[i, j] = covariance[i, j] / (scale[i] * scale[j])
+            remainder[i, j] = covariance[i, j] / (scale[i] * scale[j])
     width = 0
     for k in range(size):
-        if rest[k, k] > alone:
-            by = math.sqrt(rest[k, k])
+        if remainder[k, k] > least_share:
+            pivot = math.sqrt(remainder[k, k])
             for i in range(size):
-                along[i] = rest[i, k] / by
+                along[i] = remainder[i, k] / pivot
                 lower[i, width] = along[i]
             for i in range(size):
                 for j in range(size):
-                    rest[i, j] -= along[i] * along[j]
+                    remainder[i, j] -= along[i] * along[j]
             width += 1
     for i in range(size):
         for k in range(width):
@@ -63,26 +63,26 @@ def root_of(covariance: Floats, lower: Floats, rest: Floats, scale: Floats, alon
 
 @compiled
 def carry(
-    transition: Floats, noise: Floats, mean: Floats, covariance: Floats, moved: Floats, spread: Floats
+    transition: Floats, noise: Floats, mean: Floats, covariance: Floats, carried_mean: Floats, spread: Floats
 ) -> None:
-    """Fill `moved` (D,) with F m and `spread` (D, D) with F P F' + Q, exactly symmetric."""
+    """Fill `carried_mean` (D,) with F m and `spread` (D, D) with F P F' + Q, exactly symmetric."""
     width = mean.shape[0]
-    across = np.empty((width, width))
+    product = np.empty((width, width))
     for i in range(width):
         value = 0.0
         for k in range(width):
             value += transition[i, k] * mean[k]
-        moved[i] = value
+        carried_mean[i] = value
         for j in range(width):
             value = 0.0
             for k in range(width):
                 value += transition[i, k] * covariance[k, j]
-            across[i, j] = value
+            product[i, j] = value
     for i in range(width):
         for j in range(width):
             value = 0.0
             for k in range(width):
-                value += across[i, k] * transition[j, k]
+                value += product[i, k] * transition[j, k]
             spread[i, j] = value + noise[i, j]
     for i in range(width):
         for j in range(i):
@@ -106,7 +106,7 @@ def stand_for(
     root (D, D) and the states; `unit` (N, D) is them in units of the root. True where each field keeps more
     than the share of its sd that is last in `bounds` when those before it are known; else all is worthless.
     """
-    (lower, states), (across, down, alone) = filled, bounds
+    (lower, states), (image_width, image_height, least_share) = filled, bounds
     size, width, pairs = unit.shape[0], mean.shape[0], half.shape[0]
     white, room = np.zeros((width, width)), np.empty((width, width))
     for i in range(width):
@@ -118,7 +118,7 @@ def stand_for(
     factor(room, lower, width)
     is_full = True
     for i in range(width):
-        is_full = is_full and lower[i, i] > alone  # not where it is NaN
+        is_full = is_full and lower[i, i] > least_share  # not where it is NaN
         for k in range(i + 1):
             lower[i, k] *= math.sqrt(covariance[i, i])
             value = 0.0
@@ -140,9 +140,9 @@ def stand_for(
                 value += unit[n, k] * lower[i, k]
             states[n, i] = value
         for i in range(4):
-            extent = down if i % 2 else across
-            least = 0.0 if extent < np.inf else -np.inf
-            low, high = (least, extent - 1.0) if i < 2 else (1.0, 2.0 * extent)
+            extent = image_height if i % 2 else image_width
+            lowest = 0.0 if extent < np.inf else -np.inf
+            low, high = (lowest, extent - 1.0) if i < 2 else (1.0, 2.0 * extent)
             if states[n, i] < low:
                 states[n, i] = low
             elif states[n, i] > high:
@@ -159,34 +159,34 @@ def correct_fields(
     They are taken one after the other. Squared Mahalanobis distance of all, and their log-likelihood, as
     `numerics.gaussian.linear_update` has them.
     """
-    size, own, d2, log_ratio = mean.shape[0], np.empty(mean.shape[0]), 0.0, 0.0
+    size, column, d2, log_ratio = mean.shape[0], np.empty(mean.shape[0]), 0.0, 0.0
     for i in range(columns.shape[0]):
         k = columns[i]
         expected = covariance[k, k] + variances[i]
-        innovation, kept = measured[i] - mean[k], variances[i] / expected
+        innovation, share = measured[i] - mean[k], variances[i] / expected
         for a in range(size):
-            own[a] = covariance[a, k]
+            column[a] = covariance[a, k]
         for a in range(size):
-            gain = own[a] / expected
+            gain = column[a] / expected
             mean[a] += gain * innovation
             for b in range(a + 1):
                 # Of the field itself without the difference, which would round most there.
-                value = kept * own[a + b - k] if a == k or b == k else covariance[a, b] - gain * own[b]
+                value = share * column[a + b - k] if a == k or b == k else covariance[a, b] - gain * column[b]
                 covariance[a, b], covariance[b, a] = value, value
         d2 += innovation * innovation / expected
-        log_ratio += math.log(kept)
+        log_ratio += math.log(share)
     return d2, 0.5 * log_ratio - 0.5 * d2
 
 
 @compiled
-def independent_log(away: Floats, variances: Floats, most: float, log: Floats) -> None:
-    """Fill `log` (N,) with -d^2 / 2 of errors (N, K) of the variances (K,), each at most sqrt(`most`) sds."""
-    for n in range(away.shape[0]):
+def independent_log(errors: Floats, variances: Floats, largest: float, log: Floats) -> None:
+    """Fill `log` (N,) with -d^2 / 2 of `errors` (N, K) of `variances` (K,), each square at most `largest`."""
+    for n in range(errors.shape[0]):
         d2 = 0.0
-        for k in range(away.shape[1]):
-            sds = away[n, k] / math.sqrt(variances[k])
+        for k in range(errors.shape[1]):
+            sds = errors[n, k] / math.sqrt(variances[k])
             square = sds * sds
-            d2 += square if square < most else most  # also where it is NaN
+            d2 += square if square < largest else largest  # also where it is NaN
         log[n] = -0.5 * d2
 
 
@@ -246,15 +246,15 @@ def roots(covariances: Floats) -> list[Floats]:
     sds = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
     # Of the correlations: px and px per frame may differ by orders of magnitude.
     scale = np.where(sds > 0, sds, 1.0)
-    rest = covariances / (scale[:, :, None] * scale[:, None, :])
-    columns, kept = np.empty_like(rest), np.empty(sds.shape, dtype=np.bool_)  # (T, K, D), (T, K)
+    remainder = covariances / (scale[:, :, None] * scale[:, None, :])
+    columns, is_kept = np.empty_like(remainder), np.empty(sds.shape, dtype=np.bool_)  # (T, K, D), (T, K)
     for k in range(sds.shape[1]):
-        has = rest[:, k, k] > ALONE
-        by = np.sqrt(np.where(has, rest[:, k, k], np.inf))
-        columns[:, k], kept[:, k] = rest[:, :, k] / by[:, None], has
-        rest = rest - columns[:, k, :, None] * columns[:, k, None, :]
+        has = remainder[:, k, k] > ALONE
+        pivots = np.sqrt(np.where(has, remainder[:, k, k], np.inf))
+        columns[:, k], is_kept[:, k] = remainder[:, :, k] / pivots[:, None], has
+        remainder = remainder - columns[:, k, :, None] * columns[:, k, None, :]
     columns *= scale[:, None, :]
-    return [one[own].T for one, own in zip(columns, kept, strict=True)]
+    return [rows[mask].T for rows, mask in zip(columns, is_kept, strict=True)]
 
 
 def linear_update(
@@ -269,13 +269,13 @@ def linear_update(
         observe: (K, D) H, what is measured of a state.
         noise: (K, K) R of the measurement, positive definite.
     """
-    across = covariance @ observe.T
-    expected = symmetric(observe @ across + noise)
-    gain = np.linalg.solve(expected, across.T).T
-    kept = np.eye(len(mean)) - gain @ observe
+    cross = covariance @ observe.T
+    expected = symmetric(observe @ cross + noise)
+    gain = np.linalg.solve(expected, cross.T).T
+    complement = np.eye(len(mean)) - gain @ observe
     d2, log_likelihood = innovation_likelihood(innovation, expected, noise)
-    after = symmetric(kept @ covariance @ kept.T + gain @ noise @ gain.T)
-    return Updated(mean + gain @ innovation, after, d2, log_likelihood)
+    updated = symmetric(complement @ covariance @ complement.T + gain @ noise @ gain.T)
+    return Updated(mean + gain @ innovation, updated, d2, log_likelihood)
 
 
 def update_by_fields(
@@ -290,9 +290,11 @@ def update_by_fields(
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
 
-    at, spread = np.array(mean), np.array(covariance, order="C")
-    d2, log_likelihood = correct_fields(at, spread, np.array(columns), plain(measured), np.array(variances))
-    return Updated(at, spread, d2, log_likelihood)
+    updated, spread = np.array(mean), np.array(covariance, order="C")
+    d2, log_likelihood = correct_fields(
+        updated, spread, np.array(columns), plain(measured), np.array(variances)
+    )
+    return Updated(updated, spread, d2, log_likelihood)
 
 
 def innovation_likelihood(innovation: Floats, expected: Floats, noise: Floats) -> tuple[float, float]:
@@ -328,15 +330,15 @@ def whiten(half: Floats, size: int) -> Floats:
 
 def sigma_points(width: int, scale: float) -> Floats:
     """(2 width + 1, width) the points of the unscented transform: 0 and +-sqrt(scale) on each axis."""
-    away = math.sqrt(scale) * np.eye(width)
-    return np.concatenate([np.zeros((1, width)), away, -away])
+    offsets = math.sqrt(scale) * np.eye(width)
+    return np.concatenate([np.zeros((1, width)), offsets, -offsets])
 
 
 def weighted_moments(points: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """(D,) mean and (D, D) covariance of points (N, D) of weights (N,) that sum to 1."""
     mean = weights @ points
-    away = points - mean
-    return np.asarray(mean), np.asarray((away * weights[:, None]).T @ away)
+    deviations = points - mean
+    return np.asarray(mean), np.asarray((deviations * weights[:, None]).T @ deviations)
 
 
 # ------------------------------------------------------------------------------------ chi-square

@@ -36,8 +36,8 @@ def shorter_way(periods: Floats) -> Less:
     period = np.where(turns, periods, 1.0)
 
     def less(values: Floats, expected: Floats) -> Floats:
-        away = values - expected
-        return np.where(turns, (away + period / 2) % period - period / 2, away) if turns.any() else away
+        error = values - expected
+        return np.where(turns, (error + period / 2) % period - period / 2, error) if turns.any() else error
 
     return less
 
@@ -52,13 +52,13 @@ def derivatives(function: Function, states: Floats) -> Floats:
     """
     count, size = states.shape
     step = np.cbrt(np.finfo(np.float64).eps) * np.maximum(1.0, np.abs(states))
-    moved = np.tile(states, (2 * size, 1, 1))
+    stepped = np.tile(states, (2 * size, 1, 1))
     for k in range(size):
-        moved[k, :, k] += step[:, k]
-        moved[size + k, :, k] -= step[:, k]
-    taken = np.stack([moved[k, :, k] - moved[size + k, :, k] for k in range(size)])
-    values = function(moved.reshape(-1, size)).reshape(2 * size, count, -1)
-    slopes = (values[:size] - values[size:]) / taken[:, :, None]
+        stepped[k, :, k] += step[:, k]
+        stepped[size + k, :, k] -= step[:, k]
+    spacing = np.stack([stepped[k, :, k] - stepped[size + k, :, k] for k in range(size)])
+    values = function(stepped.reshape(-1, size)).reshape(2 * size, count, -1)
+    slopes = (values[:size] - values[size:]) / spacing[:, :, None]
     return np.asarray(np.moveaxis(slopes, 0, 2))
 
 
@@ -73,15 +73,15 @@ def follow(
     """
     states = np.tile(place, (len(way), 1))
     for step in range(1, STEPS + 1):
-        wanted = values + way * (step / STEPS)
+        target = values + way * (step / STEPS)
         for _ in range(1 if step < STEPS else LAST):
-            states = states + _newton(function, less, states, wanted, variances)[0]
-    is_found = _newton(function, less, states, wanted, variances)[1] < CLOSE
+            states = states + _newton(function, less, states, target, variances)[0]
+    is_found = _newton(function, less, states, target, variances)[1] < CLOSE
     return np.where(is_found[:, None], states, np.nan)
 
 
 def _newton(
-    function: Function, less: Less, states: Floats, wanted: Floats, variances: Floats
+    function: Function, less: Less, states: Floats, targets: Floats, variances: Floats
 ) -> tuple[Floats, Floats]:
     """(N, D) the step of Gauss and Newton towards the values wanted (N, K), and (N,) what is left to gain.
 
@@ -89,16 +89,16 @@ def _newton(
     """
     count, size = states.shape
     step = np.cbrt(np.finfo(np.float64).eps) * np.maximum(1.0, np.abs(states))
-    moved = np.tile(states, (2 * size + 1, 1, 1))
+    stepped = np.tile(states, (2 * size + 1, 1, 1))
     for k in range(size):
-        moved[1 + k, :, k] += step[:, k]
-        moved[1 + size + k, :, k] -= step[:, k]
-    values = function(moved.reshape(-1, size)).reshape(2 * size + 1, count, -1)
-    taken = np.stack([moved[1 + k, :, k] - moved[1 + size + k, :, k] for k in range(size)])
+        stepped[1 + k, :, k] += step[:, k]
+        stepped[1 + size + k, :, k] -= step[:, k]
+    values = function(stepped.reshape(-1, size)).reshape(2 * size + 1, count, -1)
+    spacing = np.stack([stepped[1 + k, :, k] - stepped[1 + size + k, :, k] for k in range(size)])
     sds = np.sqrt(variances)
     change = less(values[1 : size + 1], values[size + 1 :])
-    slopes = np.moveaxis(change / taken[:, :, None], 0, 2) / sds[:, None]
-    error = less(wanted, values[0]) / sds
+    slopes = np.moveaxis(change / spacing[:, :, None], 0, 2) / sds[:, None]
+    error = less(targets, values[0]) / sds
     normal = np.swapaxes(slopes, 1, 2) @ slopes
     scale = np.sqrt(np.diagonal(normal, axis1=1, axis2=2)) + 1e-300
     pull = (np.swapaxes(slopes, 1, 2) @ error[:, :, None])[:, :, 0] / scale
@@ -108,8 +108,8 @@ def _newton(
     usable &= np.abs(np.linalg.det(normal)) > 1e-12
     normal[~usable] = np.eye(size)
     towards = np.linalg.solve(normal, pull[:, :, None])[:, :, 0] / scale
-    left = np.where(usable, np.abs(pull).max(axis=1), np.inf)
-    return np.where(usable[:, None], towards, 0.0), left
+    remaining = np.where(usable, np.abs(pull).max(axis=1), np.inf)
+    return np.where(usable[:, None], towards, 0.0), remaining
 
 
 def solutions(function: Function, less: Less, values: Floats, variances: Floats) -> Floats:
@@ -125,31 +125,33 @@ def solutions(function: Function, less: Less, values: Floats, variances: Floats)
     turn = 2.0 * np.pi * (np.arange(8) + 0.37) / 8
     circles = 10.0 ** np.arange(-1.0, 5.5, 0.5)
     states = (circles[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)).reshape(-1, 2)
-    wanted = np.tile(values, (len(states), 1))
+    targets = np.tile(values, (len(states), 1))
 
-    def distance(at: Floats) -> Floats:
+    def distance(points: Floats) -> Floats:
         with np.errstate(all="ignore"):
-            away = (less(wanted, function(at)) ** 2 / variances).sum(axis=1)
-        return np.where(np.isfinite(away), away, np.inf)
+            error = (less(targets, function(points)) ** 2 / variances).sum(axis=1)
+        return np.where(np.isfinite(error), error, np.inf)
 
-    best = distance(states)
+    distances = distance(states)
     for _ in range(60):
         with np.errstate(all="ignore"):
-            step = _newton(function, less, states, wanted, variances)[0]
+            step = _newton(function, less, states, targets, variances)[0]
         for _ in range(6):
-            near = distance(states + step)
-            is_nearer = near < best
+            stepped_distances = distance(states + step)
+            is_nearer = stepped_distances < distances
             states = np.where(is_nearer[:, None], states + step, states)
-            best = np.where(is_nearer, near, best)
+            distances = np.where(is_nearer, stepped_distances, distances)
             step = np.where(is_nearer[:, None], 0.0, step / 2)
-    least = float(best.min())
-    if not np.isfinite(least) or (len(values) == states.shape[1] and least > CLOSE):
+    smallest = float(distances.min())
+    if not np.isfinite(smallest) or (len(values) == states.shape[1] and smallest > CLOSE):
         return np.empty((0, 2))
-    found: list[Floats] = []
-    for state in states[best <= least + CLOSE]:
-        if all(np.abs(state - one).max() > 1e-4 * (1.0 + np.abs(one).max()) for one in found):
-            found.append(state)
-    return np.array(sorted(one.tolist() for one in found)).reshape(-1, 2)
+    distinct: list[Floats] = []
+    for state in states[distances <= smallest + CLOSE]:
+        if all(
+            np.abs(state - solution).max() > 1e-4 * (1.0 + np.abs(solution).max()) for solution in distinct
+        ):
+            distinct.append(state)
+    return np.array(sorted(solution.tolist() for solution in distinct)).reshape(-1, 2)
 
 
 COUNTS = (0, 4, 5, 8, 12)
@@ -180,11 +182,11 @@ def distort(points: Floats, coefficients: Floats, *, fisheye: bool = False) -> t
     s1, s2, s3, s4 = filled[8:12]
     distorted[..., 0] += 2 * p1 * x * y + p2 * (square + 2 * x * x) + (s1 + s2 * square) * square
     distorted[..., 1] += p1 * (square + 2 * y * y) + 2 * p2 * x * y + (s3 + s4 * square) * square
-    across, down = s1 + 2 * s2 * square, s3 + 2 * s4 * square
-    derivative[..., 0, 0] += 2 * p1 * y + 6 * p2 * x + 2 * x * across
-    derivative[..., 0, 1] += 2 * p1 * x + 2 * p2 * y + 2 * y * across
-    derivative[..., 1, 0] += 2 * p1 * x + 2 * p2 * y + 2 * x * down
-    derivative[..., 1, 1] += 6 * p1 * y + 2 * p2 * x + 2 * y * down
+    slope_x, slope_y = s1 + 2 * s2 * square, s3 + 2 * s4 * square
+    derivative[..., 0, 0] += 2 * p1 * y + 6 * p2 * x + 2 * x * slope_x
+    derivative[..., 0, 1] += 2 * p1 * x + 2 * p2 * y + 2 * y * slope_x
+    derivative[..., 1, 0] += 2 * p1 * x + 2 * p2 * y + 2 * x * slope_y
+    derivative[..., 1, 1] += 6 * p1 * y + 2 * p2 * x + 2 * y * slope_y
     return distorted, derivative
 
 
@@ -198,9 +200,9 @@ def _radial(coefficients: Floats) -> tuple[np.polynomial.Polynomial, np.polynomi
 
 def _radial_scale(square: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
     """Distorted radius / radius, and its derivative by the square of the radius."""
-    above, below = _radial(coefficients)
-    upper, lower = above(square), below(square)
-    slope = (above.deriv()(square) * lower - upper * below.deriv()(square)) / lower**2
+    numerator, denominator = _radial(coefficients)
+    upper, lower = numerator(square), denominator(square)
+    slope = (numerator.deriv()(square) * lower - upper * denominator.deriv()(square)) / lower**2
     return np.asarray(upper / lower), np.asarray(slope)
 
 
@@ -211,14 +213,14 @@ def _angles(coefficients: Floats) -> np.polynomial.Polynomial:
 
 
 def _fisheye_scale(square: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
-    """As `_radial_scale`, of a fisheye lens."""
-    near = square < 1e-12
-    radius = np.sqrt(np.where(near, 1.0, square))
+    """Scale and slope as of `_radial_scale`, of a fisheye lens."""
+    is_central = square < 1e-12
+    radius = np.sqrt(np.where(is_central, 1.0, square))
     angle = np.arctan(radius)
     curve = _angles(coefficients)
     scale = curve(angle) / radius
     slope = (curve.deriv()(angle) / (1 + radius**2) - scale) / (2 * radius**2)
-    return np.where(near, 1.0, scale), np.where(near, coefficients[0] - 1 / 3, slope)
+    return np.where(is_central, 1.0, scale), np.where(is_central, coefficients[0] - 1 / 3, slope)
 
 
 def reach(coefficients: Floats, *, fisheye: bool = False) -> float:
@@ -234,10 +236,12 @@ def reach(coefficients: Floats, *, fisheye: bool = False) -> float:
     if fisheye:
         angles = _positive(_angles(coefficients).deriv().roots())
         return float(np.tan(angles[0])) if angles and angles[0] < np.pi / 2 else np.inf
-    above, below = _radial(coefficients)
+    numerator, denominator = _radial(coefficients)
     root = np.polynomial.Polynomial([0, 2])
-    slope = above * below + root * (above.deriv() * below - above * below.deriv())
-    squares = sorted(_positive(slope.roots()) + _positive(below.roots()))
+    slope = numerator * denominator + root * (
+        numerator.deriv() * denominator - numerator * denominator.deriv()
+    )
+    squares = sorted(_positive(slope.roots()) + _positive(denominator.roots()))
     return float(np.sqrt(squares[0])) if squares else np.inf
 
 
@@ -258,7 +262,7 @@ def undistort(points: Floats, coefficients: Floats, *, fisheye: bool = False) ->
     if not coefficients.any() and not fisheye:
         return points.copy()
     limit = min(reach(coefficients, fisheye=fisheye), 1e3)
-    ideal = _within(points, 0.999 * limit)
+    ideal = _bound_radius(points, 0.999 * limit)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         for _ in range(50):
             distorted, derivative = distort(ideal, coefficients, fisheye=fisheye)
@@ -266,7 +270,7 @@ def undistort(points: Floats, coefficients: Floats, *, fisheye: bool = False) ->
             east, south = np.moveaxis(points - distorted, -1, 0)
             step = np.stack([d * east - b * south, a * south - c * east], axis=-1)
             step /= (a * d - b * c)[..., None]
-            ideal = _within(ideal + step, 0.9999 * limit)
+            ideal = _bound_radius(ideal + step, 0.9999 * limit)
             if np.nanmax(np.abs(step), initial=0.0) < 1e-13:
                 break
         wrong = np.abs(distort(ideal, coefficients, fisheye=fisheye)[0] - points).max(axis=-1) > 1e-7
@@ -274,7 +278,7 @@ def undistort(points: Floats, coefficients: Floats, *, fisheye: bool = False) ->
     return ideal
 
 
-def _within(points: Floats, limit: float) -> Floats:
+def _bound_radius(points: Floats, limit: float) -> Floats:
     """The points, those outside of a circle moved onto it."""
     radius = np.hypot(points[..., 0], points[..., 1])
     return np.asarray(points * np.minimum(1.0, limit / np.maximum(radius, 1e-300))[..., None])

@@ -158,8 +158,8 @@ def uncertainty_deviation(states: Floats, weights: Floats, centre: Floats) -> fl
     if len(centre) == 2:  # column by column, in half of the time
         x, y = states[:, 0] - centre[0], states[:, 1] - centre[1]
         return float(np.dot(weights, x * x + y * y))
-    away = states - centre
-    return float(np.dot(weights, np.einsum("nk,nk->n", away, away)))
+    deviations = states - centre
+    return float(np.dot(weights, np.einsum("nk,nk->n", deviations, deviations)))
 
 
 def tilt(prior_log: Floats, log_likelihoods: Floats) -> Floats:
@@ -231,24 +231,26 @@ def sharpen(reference: Mapping[str, Array], attempt: int, step: float) -> dict[s
     >>> factor_of(reference), sharpen(reference, 1, 0.5)
     (0.125, None)
     """
-    factor, most = factor_of(reference), step**STEPS
-    if attempt > STEPS or np.isclose(factor, most):
+    factor, limit = factor_of(reference), step**STEPS
+    if attempt > STEPS or np.isclose(factor, limit):
         return None
     bound = max if step < 1.0 else min
-    return {**reference, SHARPER: np.array(bound(factor * step, most))}
+    return {**reference, SHARPER: np.array(bound(factor * step, limit))}
 
 
-def relax(old: Mapping[str, Array], new: Mapping[str, Array], rate: float) -> dict[str, Array]:
-    """`SHARPER` alone, moved from `old` toward `new` by `rate`, but by `MOST_BACK` at most.
+def relax(current: Mapping[str, Array], target: Mapping[str, Array], rate: float) -> dict[str, Array]:
+    """`SHARPER` alone, moved from `current` toward `target` by `rate`, but by `MOST_BACK` at most.
 
     >>> old, new = {"sharper": np.array(0.5)}, {"sharper": np.array(1.0)}
     >>> [round(factor_of(relax(old, new, rate)), 4) for rate in (0.0, 0.02, 0.3)]
     [0.5, 0.51, 0.525]
     """
-    return {SHARPER: relax_all(np.asarray(factor_of(old)), np.asarray(factor_of(new)), np.asarray(rate))}
+    return {
+        SHARPER: relax_all(np.asarray(factor_of(current)), np.asarray(factor_of(target)), np.asarray(rate))
+    }
 
 
-def relax_all(old: Floats, new: Floats, rates: Floats) -> Floats:
-    """Factors moved from `old` toward `new` in the same way, those of several targets at once."""
+def relax_all(current: Floats, target: Floats, rates: Floats) -> Floats:
+    """Factors moved from `current` toward `target` in the same way, those of several targets at once."""
     shares = np.minimum(rates, MOST_BACK)
-    return np.asarray((1.0 - shares) * old + shares * new)
+    return np.asarray((1.0 - shares) * current + shares * target)

@@ -61,27 +61,30 @@ def tangents(lens: Lens, axes: Floats, origin: Floats, ground: Floats) -> Tangen
     reached = np.sqrt(halves**2 @ axes[2] ** 2)
     depth = np.where(centre[:, 2] > reached, centre[:, 2], np.nan)
     middle = centre[:, :2] / depth[:, None]
-    around = axes[:2].T - middle[:, None, :] * axes[2][None, :, None]  # (N, 3, 2): axes, seen from the centre
-    weighted = around * (halves**2)[:, :, None]
-    square = np.einsum("nki,nkj->nij", weighted, around)
+    # (N, 3, 2): axes, seen from the centre.
+    centred_axes = axes[:2].T - middle[:, None, :] * axes[2][None, :, None]
+    weighted = centred_axes * (halves**2)[:, :, None]
+    square = np.einsum("nki,nkj->nij", weighted, centred_axes)
     mixed = np.einsum("nki,k->ni", weighted, axes[2])
-    last = reached**2 - depth**2
+    depth_term = reached**2 - depth**2
 
     def touch(normals: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Offsets (N, 4) of the tangents with the normals (N, 4, 2), depths, pixels, and gradients there."""
         along = np.einsum("nbi,ni->nb", normals, mixed)
-        across = np.einsum("nbi,nij,nbj->nb", normals, square, normals)
-        offset = (along - _SIDES * np.sqrt(along**2 - across * last[:, None])) / last[:, None]
+        extent = np.einsum("nbi,nij,nbj->nb", normals, square, normals)
+        offset = (along - _SIDES * np.sqrt(along**2 - extent * depth_term[:, None])) / depth_term[:, None]
         points = np.einsum("nij,nbj->nbi", square, normals) - offset[..., None] * mixed[:, None]
-        below = along - offset * last[:, None]
-        pixels, derivative = lens(middle[:, None, :] + points / below[..., None])
-        return offset, below, pixels, np.einsum("nbij,bi->nbj", derivative, _NORMALS)
+        touch_depths = along - offset * depth_term[:, None]
+        pixels, derivative = lens(middle[:, None, :] + points / touch_depths[..., None])
+        return offset, touch_depths, pixels, np.einsum("nbij,bi->nbj", derivative, _NORMALS)
 
     derivative = lens(np.broadcast_to(middle[:, None, :], (len(ground), 4, 2)))[1]
     normals = _parallel(touch, np.einsum("nbij,bi->nbj", derivative, _NORMALS))
-    offset, below, pixels, _ = touch(normals)
-    seen = np.einsum("nbi,nki->nbk", normals, around) - offset[..., None] * axes[2]
-    return Tangents(np.einsum("nbi,bi->nb", pixels, _NORMALS), seen, -offset * depth[:, None], below)
+    offset, touch_depths, pixels, _ = touch(normals)
+    tangent_axes = np.einsum("nbi,nki->nbk", normals, centred_axes) - offset[..., None] * axes[2]
+    return Tangents(
+        np.einsum("nbi,bi->nb", pixels, _NORMALS), tangent_axes, -offset * depth[:, None], touch_depths
+    )
 
 
 def _parallel(touch: Callable[[Floats], tuple[Floats, Floats, Floats, Floats]], normals: Floats) -> Floats:
@@ -89,15 +92,15 @@ def _parallel(touch: Callable[[Floats], tuple[Floats, Floats, Floats, Floats]], 
     slope, residual = np.zeros(normals.shape[:2]), np.zeros(normals.shape[:2])
     for round_ in range(20):
         gradient = touch(normals)[3]
-        before, earlier = slope, residual
-        slope, wanted = _slopes(normals), _slopes(gradient)
-        residual = wanted - slope
+        previous_slope, earlier = slope, residual
+        slope, target = _slopes(normals), _slopes(gradient)
+        residual = target - slope
         if not (np.abs(residual) > 1e-10).any():
             return gradient
         step = residual.copy()
         if round_:
             turned = np.abs(residual - earlier) > 1e-14
-            np.divide(-residual * (slope - before), residual - earlier, out=step, where=turned)
+            np.divide(-residual * (slope - previous_slope), residual - earlier, out=step, where=turned)
         step = np.clip(step, -0.5, 0.5)
         normals = _NORMALS + (slope + step)[..., None] * _NORMALS[:, ::-1]
     return gradient
@@ -110,17 +113,17 @@ def _slopes(normals: Floats) -> Floats:
     )
 
 
-def boxes(found: Tangents) -> Floats:
+def boxes(outline: Tangents) -> Floats:
     """Boxes (N, 4) between the tangents; nan in a whole row where one is missing."""
-    left, right, top, bottom = found.bounds.T
+    left, right, top, bottom = outline.bounds.T
     boxes = np.column_stack([(left + right) / 2, (top + bottom) / 2, right - left, bottom - top])
     boxes[np.isnan(boxes).any(axis=1)] = np.nan
     return boxes
 
 
-def jacobian(found: Tangents, ground: Floats) -> Floats:
+def jacobian(outline: Tangents, ground: Floats) -> Floats:
     """Derivatives (N, 4, 4) of the boxes: those of the tangents' equation, by the implicit function."""
-    (east, north, upright), centre = np.moveaxis(found.axes, -1, 0), found.centre
+    (east, north, upright), centre = np.moveaxis(outline.axes, -1, 0), outline.centre
     width, height = ground[:, 2, None], ground[:, 3, None]
     change = np.stack(
         [
@@ -131,7 +134,7 @@ def jacobian(found: Tangents, ground: Floats) -> Floats:
         ],
         axis=-1,
     )
-    left, right, top, bottom = np.moveaxis(change / (2 * found.depth[..., None]), 1, 0)
+    left, right, top, bottom = np.moveaxis(change / (2 * outline.depth[..., None]), 1, 0)
     rows = np.stack([(left + right) / 2, (top + bottom) / 2, right - left, bottom - top], axis=1)
-    rows[np.isnan(found.bounds).any(axis=1) | np.isnan(rows).any(axis=(1, 2))] = np.nan
+    rows[np.isnan(outline.bounds).any(axis=1) | np.isnan(rows).any(axis=(1, 2))] = np.nan
     return rows

@@ -24,10 +24,10 @@ def evolve(record: Record, **fields: Any) -> Record:
     Point(x=1, y=5)
     """
     kind: Any = type(record)
-    names, own = kind.__dataclass_fields__, record.__dict__
-    after: Record = object.__new__(kind)
-    values = after.__dict__
-    values.update(own)
+    names, attributes = kind.__dataclass_fields__, record.__dict__
+    evolved: Record = object.__new__(kind)
+    values = evolved.__dict__
+    values.update(attributes)
     values.update(fields)
     if len(values) != len(names):  # something was cached, or is no field
         if not fields.keys() <= names.keys():
@@ -35,7 +35,7 @@ def evolve(record: Record, **fields: Any) -> Record:
             raise TypeError(f"{kind.__name__} has no field {unknown}")
         for name in values.keys() - names.keys():
             del values[name]
-    return after
+    return evolved
 
 
 class Found(Mapping[str, Value]):

@@ -50,26 +50,26 @@ Ancestors = NDArray[np.int64]
 @compiled
 def _total_and_last(weights: Floats) -> tuple[float, int]:
     """The sum, added up from the first to the last, and the last index with a positive weight."""
-    total, last = 0.0, 0
+    total, last_index = 0.0, 0
     for n in range(weights.shape[0]):
         total += weights[n]
         if weights[n] > 0.0:
-            last = n
-    return total, last
+            last_index = n
+    return total, last_index
 
 
 @compiled
 def look_up(weights: Floats, positions: Floats) -> Ancestors:
     """(M,) indices into `weights` (N,), not negative, of ascending `positions`: one walk through both."""
-    total, last = _total_and_last(weights)
-    found = np.empty(positions.shape[0], np.int64)
+    total, last_index = _total_and_last(weights)
+    indices = np.empty(positions.shape[0], np.int64)
     n, cumulative = 0, weights[0]
     for m in range(positions.shape[0]):
-        while n < last and cumulative / total <= positions[m]:
+        while n < last_index and cumulative / total <= positions[m]:
             n += 1
             cumulative += weights[n]
-        found[m] = n
-    return found
+        indices[m] = n
+    return indices
 
 
 @compiled
@@ -84,13 +84,13 @@ def look_up_even(weights: Floats, shift: float, count: int) -> Ancestors:
         shift: from 0 to 1.
         count: number of positions.
     """
-    total, last = _total_and_last(weights)
+    total, last_index = _total_and_last(weights)
     positions, first_of = np.empty(count), np.empty(count + 1, np.int64)
     for m in range(count):
         positions[m] = (m + shift) / count
     first_of[:] = 0
     cumulative = 0.0
-    for n in range(last):
+    for n in range(last_index):
         cumulative += weights[n]
         share = cumulative / total
         k = int(share * count)
@@ -111,10 +111,10 @@ def look_up_even(weights: Floats, shift: float, count: int) -> Ancestors:
 @compiled
 def look_up_even_of_each(weights: Floats, shifts: Floats, count: int) -> Ancestors:
     """(T, count) `look_up_even` of the weights (T, N) of each of T targets with its own shift."""
-    found = np.empty((weights.shape[0], count), np.int64)
+    indices = np.empty((weights.shape[0], count), np.int64)
     for t in range(weights.shape[0]):
-        copy_row(look_up_even(weights[t], shifts[t], count), found[t])
-    return found
+        copy_row(look_up_even(weights[t], shifts[t], count), indices[t])
+    return indices
 
 
 def resample(scheme: str, weights: Floats, count: int, rng: np.random.Generator) -> Ancestors:
@@ -200,8 +200,8 @@ def occupied_bins(values: Floats, weights: Floats, width: float) -> int:
     >>> occupied_bins(np.array([0.1, 0.9, 1.1, 7.0]), np.array([1.0, 1.0, 2.0, 0.0]), 1.0)
     2
     """
-    _, which = np.unique(np.floor(values / width), return_inverse=True)
-    return int(np.count_nonzero(np.bincount(which, weights) > NEGLIGIBLE * weights.mean()))
+    _, bins = np.unique(np.floor(values / width), return_inverse=True)
+    return int(np.count_nonzero(np.bincount(bins, weights) > NEGLIGIBLE * weights.mean()))
 
 
 def kld(bins: float, error: float, confidence: float) -> float:
@@ -227,8 +227,8 @@ def importance_variance(values: Floats, weights: Floats) -> float:
 
     Thesis eqs. 5.8 and 5.11, corrected to a form in which the scale of the weights drops out.
     """
-    away = _from_mean(values, weights)
-    return float(len(values) * np.sum((weights * away) ** 2) / weights.sum() ** 2)
+    deviations = _from_mean(values, weights)
+    return float(len(values) * np.sum((weights * deviations) ** 2) / weights.sum() ** 2)
 
 
 def _from_mean(values: Floats, weights: Floats) -> Floats:
@@ -255,12 +255,12 @@ def simple_inflation(weights: Floats) -> float:
     return float(len(weights) * (weights @ weights) / weights.sum() ** 2)
 
 
-def kld_revised(bins: float, error: float, confidence: float, worth: float) -> float:
-    """KLD-sampling for hypotheses from an importance function: `worth` times `kld`, thesis eq. 5.10.
+def kld_revised(bins: float, error: float, confidence: float, factor: float) -> float:
+    """KLD-sampling for hypotheses from an importance function: `factor` times `kld`, thesis eq. 5.10.
 
-    With `inflation` as the worth it is eq. 5.10, with `simple_inflation` eq. 5.14.
+    With `inflation` as the factor it is eq. 5.10, with `simple_inflation` eq. 5.14.
     """
-    return worth * kld(bins, error, confidence)
+    return factor * kld(bins, error, confidence)
 
 
 def asymptotic_normal(spread: float, error: float, confidence: float) -> float:

@@ -139,8 +139,8 @@ def _product(a: np.uint64, b: np.uint64) -> tuple[np.uint64, np.uint64]:
     a0, a1, b0, b1 = a & _LOW, a >> half, b & _LOW, b >> half
     lowest = a0 * b0
     middle = a1 * b0 + (lowest >> half)
-    other = a0 * b1 + (middle & _LOW)
-    return a1 * b1 + (middle >> half) + (other >> half), (other << half) | (lowest & _LOW)
+    cross = a0 * b1 + (middle & _LOW)
+    return a1 * b1 + (middle >> half) + (cross >> half), (cross << half) | (lowest & _LOW)
 
 
 @compiled
@@ -154,26 +154,26 @@ def _fill_blocks(keys: Words, first: int, words: Words) -> None:
     a, b, c, d = lanes[0], lanes[1], lanes[2], lanes[3]
     for k in range(size):
         a[k] = np.uint64(first + k + 1)
-    one, other = keys[0], keys[1]
+    key_0, key_1 = keys[0], keys[1]
     for _ in range(_ROUNDS):
         for k in range(size):
             high, low = _product(_FACTORS[0], a[k])
             other_high, other_low = _product(_FACTORS[1], c[k])
-            a[k], b[k], c[k], d[k] = other_high ^ b[k] ^ one, other_low, high ^ d[k] ^ other, low
-        one += _STEPS[0]
-        other += _STEPS[1]
+            a[k], b[k], c[k], d[k] = other_high ^ b[k] ^ key_0, other_low, high ^ d[k] ^ key_1, low
+        key_0 += _STEPS[0]
+        key_1 += _STEPS[1]
     for k in range(size):
         words[4 * k], words[4 * k + 1], words[4 * k + 2], words[4 * k + 3] = a[k], b[k], c[k], d[k]
 
 
 @compiled
-def _fill(keys: Words, words: Words, found: Floats) -> None:
+def _fill(keys: Words, words: Words, numbers: Floats) -> None:
     """Fill in the first `random()` numbers of a generator."""
-    for first in range(0, found.shape[0], _WORDS):
-        count = min(_WORDS, found.shape[0] - first)
+    for first in range(0, numbers.shape[0], _WORDS):
+        count = min(_WORDS, numbers.shape[0] - first)
         _fill_blocks(keys, first // 4, words[: (count + 3) // 4 * 4])
         for n in range(count):
-            found[first + n] = np.float64(words[n] >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+            numbers[first + n] = np.float64(words[n] >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @compiled
@@ -182,10 +182,10 @@ def uniforms_of_each(keys: Words, starts: Ints) -> Floats:
 
     Those of generator t are `starts[t]` to `starts[t + 1] - 1`.
     """
-    found, words = np.empty(starts[-1]), np.empty(_WORDS, np.uint64)
+    numbers, words = np.empty(starts[-1]), np.empty(_WORDS, np.uint64)
     for t in range(keys.shape[0]):
-        _fill(keys[t], words, found[starts[t] : starts[t + 1]])
-    return found
+        _fill(keys[t], words, numbers[starts[t] : starts[t + 1]])
+    return numbers
 
 
 @compiled
@@ -195,13 +195,14 @@ def shuffled_of_each(keys: Words, starts: Ints, rounds: Ints) -> tuple[Floats, I
     Generator t has as many numbers as `rounds[t]` permutations of equal length. These are the rows that its
     `permuted` of 0, 1, ... gives after its `random`, by the shuffle of Fisher and Yates.
     """
-    found, turns = np.empty(starts[-1]), np.empty(starts[-1], np.int64)
-    words, chosen = np.empty(_WORDS, np.uint64), np.empty(np.diff(starts).max(), np.uint32)
+    numbers, turns = np.empty(starts[-1]), np.empty(starts[-1], np.int64)
+    words, swaps = np.empty(_WORDS, np.uint64), np.empty(np.diff(starts).max(), np.uint32)
     halves, end = words.view(np.uint32), np.uint64(2 * _WORDS)  # the lower half first
     for t in range(keys.shape[0]):
-        own = found[starts[t] : starts[t + 1]]
-        _fill(keys[t], words, own)
-        block, half, size = own.shape[0] // 4, np.uint64(2 * (own.shape[0] % 4)), own.shape[0] // rounds[t]
+        generated = numbers[starts[t] : starts[t + 1]]
+        _fill(keys[t], words, generated)
+        count = generated.shape[0]
+        block, half, size = count // 4, np.uint64(2 * (count % 4)), count // rounds[t]
         _fill_blocks(keys[t], block, words)
         for r in range(rounds[t]):
             n, mask = np.uint64(size - 1), np.uint64(1)  # all bits up to the highest one of n
@@ -214,7 +215,7 @@ def shuffled_of_each(keys: Words, starts: Ints, rounds: Ints) -> tuple[Floats, I
                         block, half = block + _WORDS // 4, np.uint64(0)
                         _fill_blocks(keys[t], block, words)
                     value = np.uint64(halves[half]) & mask
-                    chosen[n] = value
+                    swaps[n] = value
                     half += _ONE
                     n -= np.uint64(value <= n)
                 mask = low
@@ -222,5 +223,5 @@ def shuffled_of_each(keys: Words, starts: Ints, rounds: Ints) -> tuple[Floats, I
             for k in range(size):
                 row[k] = k
             for k in range(size - 1, 0, -1):
-                row[k], row[chosen[k]] = row[chosen[k]], row[k]
-    return found, turns
+                row[k], row[swaps[k]] = row[swaps[k]], row[k]
+    return numbers, turns

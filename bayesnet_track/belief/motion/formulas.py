@@ -430,8 +430,8 @@ def make_formula_motion(settings: ByExpressions, constants: Mapping[str, float])
         drifts,
         sds,
         {name: value for name, value in constants.items() if name in mentioned},
-        tuple(field.start for field in own_fields.values()),
-        tuple(field.sd for field in own_fields.values()),
+        tuple(own_field.start for own_field in own_fields.values()),
+        tuple(own_field.sd for own_field in own_fields.values()),
         static_discount=settings.static_discount,
     )
 

@@ -389,7 +389,7 @@ def _report(
     first: WeightedSample,
     combined: CombinedSample,
     settings: SecondPassProposal | IteratedProposal,
-    kl: float,
+    kl_nats: float,
 ) -> Report:
     ess_first, ess = _ess(first), _ess(combined.whole)
     particles = len(combined.whole) - len(first) or len(first)
@@ -398,7 +398,7 @@ def _report(
         frame=frame,
         target=target,
         method=method,
-        kl=kl,
+        kl=kl_nats,
         above_kl=settings.above_kl,
         first=len(first),
         particles=particles,

@@ -23,29 +23,29 @@ def drifted(states: Floats, moves: Rows) -> Floats:
     A state is x, y, w, h, then vx, vy, then ax, ay: D = 2 n + 2. w and h stay. The matrix comes as tuples:
     their lengths are known when it is compiled, and the loops over them cost nothing.
     """
-    new = np.empty(states.shape)
+    next_states = np.empty(states.shape)
     for m in range(states.shape[0]):
-        new[m, 2], new[m, 3] = states[m, 2], states[m, 3]
+        next_states[m, 2], next_states[m, 3] = states[m, 2], states[m, 3]
         for axis in range(2):
             for i in range(len(moves)):
                 value = moves[i][0] * states[m, axis]
                 for j in range(1, len(moves)):
                     value += moves[i][j] * states[m, 2 + 2 * j + axis]
-                new[m, axis if i == 0 else 2 + 2 * i + axis] = value
-    return new
+                next_states[m, axis if i == 0 else 2 + 2 * i + axis] = value
+    return next_states
 
 
 @compiled
-def _driven(old: Floats, moves: Rows, root: Rows, normals: Floats, new: Floats) -> None:
-    """Fill the state `new` (D,) with `old` after the transition and noise of the `normals` (2 n,)."""
-    new[2], new[3] = old[2], old[3]
+def _driven(state: Floats, moves: Rows, root: Rows, normals: Floats, next_state: Floats) -> None:
+    """Fill `next_state` (D,) with `state` after the transition and noise of the `normals` (2 n,)."""
+    next_state[2], next_state[3] = state[2], state[3]
     for axis in range(2):
         for i in range(len(moves)):
-            value, noise = moves[i][0] * old[axis], root[i][0] * normals[axis]
+            value, noise = moves[i][0] * state[axis], root[i][0] * normals[axis]
             for j in range(1, len(moves)):
-                value += moves[i][j] * old[2 + 2 * j + axis]
+                value += moves[i][j] * state[2 + 2 * j + axis]
                 noise += root[i][j] * normals[2 * j + axis]
-            new[axis if i == 0 else 2 + 2 * i + axis] = value + noise
+            next_state[axis if i == 0 else 2 + 2 * i + axis] = value + noise
 
 
 @compiled
@@ -80,11 +80,11 @@ def confine_moments(mean: Floats, covariance: Floats, width: float, height: floa
         elif mean[k] > high:
             mean[k] = high
         if extent < np.inf:
-            away = mean[k] - (low + high) / 2
-            most = np.sqrt((high - low) * (high - low) / 12 + away * away)
-            own = covariance[k, k]
-            if own > most * most:
-                shrink[k], shrinks = min(1.0, most / np.sqrt(own)), True
+            offset = mean[k] - (low + high) / 2
+            limit = np.sqrt((high - low) * (high - low) / 12 + offset * offset)
+            variance = covariance[k, k]
+            if variance > limit * limit:
+                shrink[k], shrinks = min(1.0, limit / np.sqrt(variance)), True
     if shrinks:
         for i in range(mean.shape[0]):
             for j in range(mean.shape[0]):
@@ -121,8 +121,8 @@ def shares_inside(boxes: Floats, width: float, height: float) -> Floats:
     for n in range(len(boxes)):
         for k, extent in ((0, width), (1, height)):
             place, side = boxes[n, k], boxes[n, 2 + k]
-            inside = min(place + side / 2, extent - 0.5) - max(place - side / 2, -0.5)
-            shares[n] *= min(max(inside / side, 0.0), 1.0)
+            visible = min(place + side / 2, extent - 0.5) - max(place - side / 2, -0.5)
+            shares[n] *= min(max(visible / side, 0.0), 1.0)
     return shares
 
 
@@ -134,13 +134,13 @@ def extent_of_boxes(boxes: Floats, half: float) -> tuple[float, float, float, fl
     """
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     for n in range(boxes.shape[0]):
-        across, down = boxes[n, 2] * half, boxes[n, 3] * half
-        if not np.isfinite(boxes[n, 0] + across) or not np.isfinite(boxes[n, 1] + down):
-            bad = boxes[n, 0] + across + boxes[n, 1] + down
+        half_width, half_height = boxes[n, 2] * half, boxes[n, 3] * half
+        if not np.isfinite(boxes[n, 0] + half_width) or not np.isfinite(boxes[n, 1] + half_height):
+            bad = boxes[n, 0] + half_width + boxes[n, 1] + half_height
             if np.isnan(bad):
                 return bad, bad, bad, bad
-        left, right = min(left, boxes[n, 0] - across), max(right, boxes[n, 0] + across)
-        top, bottom = min(top, boxes[n, 1] - down), max(bottom, boxes[n, 1] + down)
+        left, right = min(left, boxes[n, 0] - half_width), max(right, boxes[n, 0] + half_width)
+        top, bottom = min(top, boxes[n, 1] - half_height), max(bottom, boxes[n, 1] + half_height)
     return left, top, right, bottom
 
 
@@ -150,10 +150,10 @@ def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, normals:
 
     A row of `normals` (M, 2 n) has the first z of x, the first of y, the second of x and so on.
     """
-    new = np.empty((parents.shape[0], states.shape[1]))
+    next_states = np.empty((parents.shape[0], states.shape[1]))
     for m in range(parents.shape[0]):
-        _driven(states[parents[m]], moves, root, normals[m], new[m])
-    return new
+        _driven(states[parents[m]], moves, root, normals[m], next_states[m])
+    return next_states
 
 
 @compiled
@@ -161,13 +161,13 @@ def driven_by(
     states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator
 ) -> Floats:
     """`driven` by `rng.standard_normal((M, 2 n))`, bit by bit: faster, but for 30 us to take `rng` over."""
-    new = np.empty((parents.shape[0], states.shape[1]))
+    next_states = np.empty((parents.shape[0], states.shape[1]))
     normals = np.empty(2 * len(moves))
     for m in range(parents.shape[0]):
         for k in range(normals.shape[0]):
             normals[k] = rng.standard_normal()
-        _driven(states[parents[m]], moves, root, normals, new[m])
-    return new
+        _driven(states[parents[m]], moves, root, normals, next_states[m])
+    return next_states
 
 
 Corners = NDArray[np.int64]
@@ -236,7 +236,7 @@ def find_fitting(
 
     Those fit whose area is within the limits and whose score is `min_score` or more.
     """
-    kept = np.empty(boxes.shape[0], np.int64)
+    indices = np.empty(boxes.shape[0], np.int64)
     count = 0
     for n in range(boxes.shape[0]):
         area, fits = 1.0, scores[n] >= min_score
@@ -246,42 +246,42 @@ def find_fitting(
             fits &= np.isfinite(centre) and np.isfinite(side) and side > 0.0
             fits &= abs(2.0 * centre - (extent[axis] - 1)) < side + extent[axis]
         if fits and areas_px2[0] <= area <= areas_px2[1]:
-            kept[count] = n
+            indices[count] = n
             count += 1
-    return kept[:count].copy()
+    return indices[:count].copy()
 
 
 @compiled
-def keep_best(boxes: Floats, most_overlap: float, most: int) -> Corners:
-    """Indices of the kept boxes (N, 4), the best first: `most` of them, none too alike a better one.
+def keep_best(boxes: Floats, most_overlap: float, limit: int) -> Corners:
+    """Indices of the kept boxes (N, 4), the best first: `limit` of them, none too alike a better one.
 
     Greedy non-maximum suppression: of two whose intersection over union (`numerics.boxes.overlap`) is above
     `most_overlap` the first stays.
     """
-    kept = np.empty(min(most, boxes.shape[0]), np.int64)
+    indices = np.empty(min(limit, boxes.shape[0]), np.int64)
     count = 0
     for n in range(boxes.shape[0]):
-        if count == kept.shape[0]:
+        if count == indices.shape[0]:
             break
         is_new = True
         for k in range(count):
-            other = kept[k]
+            better = indices[k]
             shared = 1.0
             for axis in range(2):
-                a, b = boxes[other, 2 + axis] / 2, boxes[n, 2 + axis] / 2
-                low = max(boxes[other, axis] - a, boxes[n, axis] - b)
-                shared *= max(min(boxes[other, axis] + a, boxes[n, axis] + b) - low, 0.0)
+                a, b = boxes[better, 2 + axis] / 2, boxes[n, 2 + axis] / 2
+                low = max(boxes[better, axis] - a, boxes[n, axis] - b)
+                shared *= max(min(boxes[better, axis] + a, boxes[n, axis] + b) - low, 0.0)
                 if shared == 0.0:
                     break
             if shared > 0.0:
-                union = boxes[other, 2] * boxes[other, 3] + boxes[n, 2] * boxes[n, 3] - shared
+                union = boxes[better, 2] * boxes[better, 3] + boxes[n, 2] * boxes[n, 3] - shared
                 if union > 0 and shared / union > most_overlap:
                     is_new = False
                     break
         if is_new:
-            kept[count] = n
+            indices[count] = n
             count += 1
-    return kept[:count].copy()
+    return indices[:count].copy()
 
 
 @compiled
@@ -330,23 +330,23 @@ def pairs_alike(
         largest = max(largest, sides[t])
     first, second = np.empty(count, np.int64), np.empty(count, np.int64)
     pairs = 0
-    for at in range(count):
-        one = order[at]
-        end = boxes[one, 0] + (sides[one] + largest) / 2
-        for after in range(at + 1, count):
-            other = order[after]
-            if boxes[other, 0] > end:
+    for rank in range(count):
+        row = order[rank]
+        end = boxes[row, 0] + (sides[row] + largest) / 2
+        for next_place in range(rank + 1, count):
+            neighbour = order[next_place]
+            if boxes[neighbour, 0] > end:
                 break
             fits = True
             for k in range(4):
                 if limit < np.inf and fits:
-                    place = widened * ((boxes[one, 2 + k % 2] + boxes[other, 2 + k % 2]) / 2)
-                    spread = (variances[one, k] + variances[other, k]) / 2 + place * place
-                    fits = (boxes[one, k] - boxes[other, k]) ** 2 <= limit * spread
+                    place = widened * ((boxes[row, 2 + k % 2] + boxes[neighbour, 2 + k % 2]) / 2)
+                    spread = (variances[row, k] + variances[neighbour, k]) / 2 + place * place
+                    fits = (boxes[row, k] - boxes[neighbour, k]) ** 2 <= limit * spread
             if fits:
                 if pairs == first.shape[0]:
                     first, second = np.append(first, first), np.append(second, second)
-                first[pairs], second[pairs] = one, other
+                first[pairs], second[pairs] = row, neighbour
                 pairs += 1
     return first[:pairs].copy(), second[:pairs].copy()
 
@@ -364,10 +364,10 @@ STRIP = 256
 
 
 @compiled
-def spread_columns(mass: Floats, taps: Floats, first: Ints, out: Floats) -> None:
-    """Add to `out` (A, B, Y, X') the lines along X of `mass` (A, B, Y, X), each spread by its kernel.
+def spread_columns(mass: Floats, taps: Floats, first: Ints, target: Floats) -> None:
+    """Add to `target` (A, B, Y, X') the lines along X of `mass` (A, B, Y, X), each spread by its kernel.
 
-    The kernel of B is `taps[b]` (T,); its first tap takes column 0 to column `first[b]`, all inside `out`.
+    The kernel of B is `taps[b]` (T,); its first tap takes column 0 to column `first[b]`, all inside `target`.
     """
     a_size, b_size, rows, columns = mass.shape
     for a in range(a_size):
@@ -376,14 +376,14 @@ def spread_columns(mass: Floats, taps: Floats, first: Ints, out: Floats) -> None
                 line = mass[a, b, y]
                 for t in range(taps.shape[1]):
                     weight, low = taps[b, t], first[b] + t
-                    to = out[a, b, y, low : low + columns]
+                    to = target[a, b, y, low : low + columns]
                     for x in range(columns):
                         to[x] += weight * line[x]
 
 
 @compiled
-def spread_rows(mass: Floats, taps: Floats, first: Ints, out: Floats) -> None:
-    """Spread mass along Y: add to `out` (A, B, Y', X), with the kernel `taps[a]` of A."""
+def spread_rows(mass: Floats, taps: Floats, first: Ints, target: Floats) -> None:
+    """Spread mass along Y: add to `target` (A, B, Y', X), with the kernel `taps[a]` of A."""
     a_size, b_size, rows, columns = mass.shape
     for a in range(a_size):
         for b in range(b_size):
@@ -391,14 +391,17 @@ def spread_rows(mass: Floats, taps: Floats, first: Ints, out: Floats) -> None:
                 line = mass[a, b, y]
                 for t in range(taps.shape[1]):
                     weight = taps[a, t]
-                    to = out[a, b, first[a] + t + y]
+                    to = target[a, b, first[a] + t + y]
                     for x in range(columns):
                         to[x] += weight * line[x]
 
 
 @compiled
-def turn(mass: Floats, down: Floats, across: Floats, out: Floats) -> None:
-    """Fill `out` (A, B, P) with sum down[a, c] across[b, d] mass[c, d, p]; strips of P stay in the cache."""
+def turn(mass: Floats, y_change: Floats, x_change: Floats, target: Floats) -> None:
+    """Fill `target` (A, B, P) with sum y_change[a, c] x_change[b, d] mass[c, d, p].
+
+    Strips of P stay in the cache.
+    """
     a_size, b_size, places = mass.shape
     strip = np.empty((a_size, b_size, STRIP))
     for low in range(0, places, STRIP):
@@ -408,14 +411,14 @@ def turn(mass: Floats, down: Floats, across: Floats, out: Floats) -> None:
                 line = strip[c, b]
                 line[:] = 0.0
                 for d in range(b_size):
-                    weight, known = across[b, d], mass[c, d, low : low + count]
+                    weight, source = x_change[b, d], mass[c, d, low : low + count]
                     for p in range(count):
-                        line[p] += weight * known[p]
+                        line[p] += weight * source[p]
         for a in range(a_size):
             for b in range(b_size):
-                to = out[a, b, low : low + count]
+                to = target[a, b, low : low + count]
                 to[:] = 0.0
                 for c in range(a_size):
-                    weight, line = down[a, c], strip[c, b]
+                    weight, line = y_change[a, c], strip[c, b]
                     for p in range(count):
                         to[p] += weight * line[p]

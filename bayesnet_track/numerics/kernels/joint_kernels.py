@@ -66,8 +66,8 @@ def loss_of(bad: float, agents: int) -> float:
 @compiled_fusing
 def bad_behind(bad: float, share: float, level: float, occluder: float, worst: float, best: float) -> float:
     """Share that does not match of a box of which `share` is hidden, all in shares; see `inference.joint`."""
-    rest = min(max(bad - share * occluder, (1.0 - share) * best), (1.0 - share) * worst)
-    return rest + share * level
+    visible = min(max(bad - share * occluder, (1.0 - share) * best), (1.0 - share) * worst)
+    return visible + share * level
 
 
 @compiled
@@ -76,14 +76,14 @@ def pick_in_strata(order: Indices, bounds: Floats, shifts: Floats) -> Indices:
 
     `shifts` (R,), from 0 to 1, say where in its stratum each is.
     """
-    chosen = np.empty(shifts.shape[0], np.intp)
-    width, last, at = bounds[-1] / shifts.shape[0], order.shape[0] - 1, 0
+    picked = np.empty(shifts.shape[0], np.intp)
+    width, last_index, index = bounds[-1] / shifts.shape[0], order.shape[0] - 1, 0
     for k in range(shifts.shape[0]):
         point = (k + shifts[k]) * width
-        while at < last and bounds[at] <= point:
-            at += 1
-        chosen[k] = order[at]
-    return chosen
+        while index < last_index and bounds[index] <= point:
+            index += 1
+        picked[k] = order[index]
+    return picked
 
 
 @compiled
@@ -102,24 +102,24 @@ def _common(
     y0: Floats,
     x1: Floats,
     y1: Floats,
-    others: tuple[Floats, Floats, Floats, Floats],
+    other_edges: tuple[Floats, Floats, Floats, Floats],
     area: Floats,
 ) -> None:
     """Fill in the area (N,) that boxes have in common with others."""
-    other_x0, other_y0, other_x1, other_y1 = others
+    other_x0, other_y0, other_x1, other_y1 = other_edges
     for n in range(area.shape[0]):
-        across = min(x1[n], other_x1[n]) - max(x0[n], other_x0[n])
-        down = min(y1[n], other_y1[n]) - max(y0[n], other_y0[n])
-        area[n] = max(across, 0.0) * max(down, 0.0)
+        width = min(x1[n], other_x1[n]) - max(x0[n], other_x0[n])
+        height = min(y1[n], other_y1[n]) - max(y0[n], other_y0[n])
+        area[n] = max(width, 0.0) * max(height, 0.0)
 
 
 @compiled_fusing
-def _fit_behind(area: Floats, whole: Floats, bad: Floats, hidden: Hidden, fits: Floats) -> None:
-    """Fill in the likelihoods (N,) of boxes behind, of whose `whole` area so much is hidden: e^-`loss_of`."""
+def _fit_behind(area: Floats, box_areas: Floats, bad: Floats, hidden: Hidden, fits: Floats) -> None:
+    """Fill in the likelihoods (N,) of boxes behind, of whose `box_areas` so much is hidden: e^-`loss_of`."""
     level, occluder, worst, best, agents = hidden
     for n in range(area.shape[0]):
-        left = bad_behind(bad[n], min(area[n] / whole[n], 1.0), level, occluder, worst, best)
-        fits[n] = (1.0 + _AT_BEST) / (1.0 + exp_of(16.0 * left - 4.0))
+        misfit = bad_behind(bad[n], min(area[n] / box_areas[n], 1.0), level, occluder, worst, best)
+        fits[n] = (1.0 + _AT_BEST) / (1.0 + exp_of(16.0 * misfit - 4.0))
     each = fits.copy() if agents > 1 else fits
     for _ in range(agents - 1):
         for n in range(area.shape[0]):
@@ -132,14 +132,14 @@ def pair_sums(
     losses: Floats,
     bad: Floats,
     hidden: Hidden,
-    others: Floats,
+    speakers: Floats,
     other_losses: Floats,
     other_bad: Floats,
     other_hidden: Hidden,
     partners: Indices,
     log_importance: Floats,
     free: Floats,
-    taken: Floats,
+    occluded: Floats,
     in_front: float,
     nats: float,
 ) -> Floats:
@@ -150,14 +150,14 @@ def pair_sums(
         losses: (N,) by how much their log L is below that of a perfect match.
         bad: (N,) shares of them that do not match.
         hidden: what `behind` needs of them: level, occluder, worst, best, agents.
-        others: (M, 4) hypotheses that speak.
+        speakers: (M, 4) hypotheses that speak.
         other_losses: (M,) losses of those who speak.
         other_bad: (M,) shares of them that do not match.
         other_hidden: the same of those who speak.
-        partners: (R, N) indices into `others`.
+        partners: (R, N) indices into `speakers`.
         log_importance: (M,) log beta / q, for partners drawn by q.
         free: (M,) what further targets say of them, none of which hides them.
-        taken: (M,) the same where one of these does.
+        occluded: (M,) the same where one of these does.
         in_front: prior probability that those who hear are in front.
         nats: log-odds against one box wholly on the other.
 
@@ -165,41 +165,41 @@ def pair_sums(
         (4, N) means over the partners: in front; behind but not touched; behind and partly hidden; and the
         last times the hidden share.
     """
-    (rounds, size), known = partners.shape, others.shape[0]
-    sums, met, facts = np.zeros((4, size)), np.empty((8, size)), np.empty((8, known))
-    own, gains = np.empty((5, size)), np.empty(size)
-    _edges(boxes, own)
-    _edges(others, facts)
-    for j in range(known):
+    (rounds, size), speaker_count = partners.shape, speakers.shape[0]
+    sums, met, facts = np.zeros((4, size)), np.empty((8, size)), np.empty((8, speaker_count))
+    edges, gains = np.empty((5, size)), np.empty(size)
+    _edges(boxes, edges)
+    _edges(speakers, facts)
+    for j in range(speaker_count):
         weight = exp_of(log_importance[j])
         facts[5, j], facts[6, j] = other_bad[j], in_front * weight * free[j]
-        facts[7, j] = weight * (free[j] + taken[j]) * exp_of(-other_losses[j])
+        facts[7, j] = weight * (free[j] + occluded[j]) * exp_of(-other_losses[j])
     for i in range(size):
         gains[i] = (1.0 - in_front) * (exp_of(losses[i]) if losses[i] < LARGEST_LOG else 1.0)
     level, occluder, worst, best, agents = hidden
-    far, by_partner = np.flatnonzero(losses >= LARGEST_LOG), np.ascontiguousarray(facts.T)
+    underflowing, by_partner = np.flatnonzero(losses >= LARGEST_LOG), np.ascontiguousarray(facts.T)
     area, front, behind = np.empty(size), np.empty(size), np.empty(size)
     for r in range(rounds):
         for i in range(size):
             for k in range(8):
                 met[k, i] = by_partner[partners[r, i], k]
-        _common(own[0], own[1], own[2], own[3], (met[0], met[1], met[2], met[3]), area)
+        _common(edges[0], edges[1], edges[2], edges[3], (met[0], met[1], met[2], met[3]), area)
         _fit_behind(area, met[4], met[5], other_hidden, front)
-        _fit_behind(area, own[4], bad, hidden, behind)
-        for n in far:
-            left = bad_behind(bad[n], min(area[n] / own[4, n], 1.0), level, occluder, worst, best)
-            behind[n] = np.exp(losses[n] - loss_of(left, agents))
+        _fit_behind(area, edges[4], bad, hidden, behind)
+        for n in underflowing:
+            misfit = bad_behind(bad[n], min(area[n] / edges[4, n], 1.0), level, occluder, worst, best)
+            behind[n] = np.exp(losses[n] - loss_of(misfit, agents))
         if nats != 0.0:
             for i in range(size):
-                penalty = exp_of(-nats * min(max(area[i] / own[4, i], area[i] / met[4, i]), 1.0))
+                penalty = exp_of(-nats * min(max(area[i] / edges[4, i], area[i] / met[4, i]), 1.0))
                 front[i], behind[i] = front[i] * penalty, behind[i] * penalty
         for i in range(size):
-            is_hit, seen = area[i] > 0.0, met[7, i]
-            value = seen * gains[i] * behind[i] if is_hit else 0.0
-            sums[0, i] += met[6, i] * front[i] if is_hit else in_front * seen
-            sums[1, i] += 0.0 if is_hit else (1.0 - in_front) * seen
+            is_hit, message = area[i] > 0.0, met[7, i]
+            value = message * gains[i] * behind[i] if is_hit else 0.0
+            sums[0, i] += met[6, i] * front[i] if is_hit else in_front * message
+            sums[1, i] += 0.0 if is_hit else (1.0 - in_front) * message
             sums[2, i] += value
-            sums[3, i] += min(area[i] / own[4, i], 1.0) * value
+            sums[3, i] += min(area[i] / edges[4, i], 1.0) * value
     sums /= rounds
     return sums
 
@@ -210,7 +210,7 @@ def put_on_others(
     weights: Floats,
     rows: Indices,
     firsts: Indices,
-    others: Indices,
+    other_rows: Indices,
     uniforms: Floats,
     size: int,
 ) -> Floats:
@@ -223,25 +223,25 @@ def put_on_others(
         weights: (T, N).
         rows: (R,) the targets.
         firsts: (R + 1,) where the others of each begin among all K of them.
-        others: (K,) rows.
+        other_rows: (K,) rows.
         uniforms: of each target its own shift, a shift for each other, then two numbers for each box.
         size: how many for each other.
     """
-    found = np.empty((others.shape[0] * size, states.shape[2]))
-    at = 0
+    placed = np.empty((other_rows.shape[0] * size, states.shape[2]))
+    cursor = 0
     for r in range(rows.shape[0]):
         first, count = firsts[r], firsts[r + 1] - firsts[r]
-        own = look_up_even(weights[rows[r]], uniforms[at], count * size)
-        across = at + 1 + count
+        indices = look_up_even(weights[rows[r]], uniforms[cursor], count * size)
+        box_cursor = cursor + 1 + count
         for k in range(count):
-            other = others[first + k]
-            there = look_up_even(weights[other], uniforms[at + 1 + k], size)
+            host = other_rows[first + k]
+            host_indices = look_up_even(weights[host], uniforms[cursor + 1 + k], size)
             for n in range(size):
-                one, box = found[(first + k) * size + n], states[other, there[n]]
+                state, box = placed[(first + k) * size + n], states[host, host_indices[n]]
                 for d in range(states.shape[2]):
-                    one[d] = states[rows[r], own[k * size + n], d]
+                    state[d] = states[rows[r], indices[k * size + n], d]
                 for axis in range(2):
-                    room = max(box[2 + axis] - one[2 + axis], 0.0)
-                    one[axis] = box[axis] + room * (uniforms[across + 2 * (k * size + n) + axis] - 0.5)
-        at = across + 2 * count * size
-    return found
+                    room = max(box[2 + axis] - state[2 + axis], 0.0)
+                    state[axis] = box[axis] + room * (uniforms[box_cursor + 2 * (k * size + n) + axis] - 0.5)
+        cursor = box_cursor + 2 * count * size
+    return placed

@@ -12,24 +12,24 @@ from bayesnet_track.numerics.compiled import compiled
 
 @compiled
 def extend_streaks(
-    counts: Ints, values: Floats, holds: Bools, new: Floats, keeps: Bools
+    counts: Ints, values: Floats, holds: Bools, latest: Floats, keeps: Bools
 ) -> tuple[Ints, Floats]:
     """Streaks (T, S) with one frame more where it `holds`, else 0; their last values (T, S, F).
 
     Those that it `keeps` stay as they are.
     """
     rows, streaks, size = values.shape
-    after, last = counts.copy(), values.copy()
+    extended, histories = counts.copy(), values.copy()
     for t in range(rows):
         for s in range(streaks):
             if keeps[t, s]:
                 continue
-            after[t, s] = counts[t, s] + 1 if holds[t, s] else 0
+            extended[t, s] = counts[t, s] + 1 if holds[t, s] else 0
             if holds[t, s]:
                 for k in range(size - 1):
-                    last[t, s, k] = values[t, s, k + 1]
-                last[t, s, size - 1] = new[t, s]
-    return after, last
+                    histories[t, s, k] = values[t, s, k + 1]
+                histories[t, s, size - 1] = latest[t, s]
+    return extended, histories
 
 
 @compiled
@@ -41,19 +41,19 @@ def count_frames(
     `counted` are those before; a birth of -1 is one of this frame. Also who is known well: new, or neither
     lost nor about to be (`lost_count` frames look so).
     """
-    since, lost_frames, unseen_frames = counted[0].copy(), counted[1].copy(), counted[2].copy()
-    known = np.empty(since.shape[0], np.bool_)
-    for t in range(since.shape[0]):
-        is_new = since[t] < 0
-        known[t] = is_new or not (is_lost[t] or lost_count[t] > 0)
+    births, lost_frames, unseen_frames = counted[0].copy(), counted[1].copy(), counted[2].copy()
+    is_known = np.empty(births.shape[0], np.bool_)
+    for t in range(births.shape[0]):
+        is_new = births[t] < 0
+        is_known[t] = is_new or not (is_lost[t] or lost_count[t] > 0)
         if is_new:
-            since[t], unseen_frames[t] = frame, 0
-        if known[t] or not is_lost[t]:
+            births[t], unseen_frames[t] = frame, 0
+        if is_known[t] or not is_lost[t]:
             lost_frames[t] = 0
         if is_lost[t]:
             lost_frames[t] += 1
         unseen_frames[t] += 1
-    return since, lost_frames, unseen_frames, known
+    return births, lost_frames, unseen_frames, is_known
 
 
 @compiled
@@ -120,14 +120,14 @@ def weigh_angles(angles: Floats, weights: Floats) -> Floats:
 @compiled
 def append_detections(
     observed: Floats,
-    own: Floats,
+    detections: Floats,
     is_given: Bools,
     recent: int,
     frames: int,
     heading: Floats,
     elapsed: float,
 ) -> None:
-    """Update the memory (T, H) in place after a frame in which rows were given the detections `own` (T, 4).
+    """Update the memory (T, H) in place after a frame in which rows were given `detections` (T, 4).
 
     The frame is `elapsed` frame intervals after the last one.
 
@@ -140,14 +140,14 @@ def append_detections(
             for k in range(recent, newest):
                 observed[t, k] = observed[t, k + 4]
             for k in range(4):
-                observed[t, newest + k] = own[t, k] if is_given[t] else np.nan
+                observed[t, newest + k] = detections[t, k] if is_given[t] else np.nan
             for k in range(2):
                 if not math.isnan(heading[t, k]):
                     observed[t, turn + k] = heading[t, k]
         observed[t, 4] += elapsed
         if is_given[t]:
             for k in range(4):
-                observed[t, k] = own[t, k]
+                observed[t, k] = detections[t, k]
             observed[t, 4] = 0.0
             observed[t, 5] += 1.0
 
@@ -158,14 +158,14 @@ def overlaps_of(first: Floats, second: Floats) -> Floats:
     overlaps = np.zeros((first.shape[0], second.shape[0]))
     for t in range(first.shape[0]):
         for n in range(second.shape[0]):
-            shared, area, other = 1.0, 1.0, 1.0
+            shared, area, other_area = 1.0, 1.0, 1.0
             for k in range(2):
                 low = max(first[t, k] - first[t, k + 2] / 2, second[n, k] - second[n, k + 2] / 2)
                 high = min(first[t, k] + first[t, k + 2] / 2, second[n, k] + second[n, k + 2] / 2)
                 shared *= max(high - low, 0.0)
                 area *= first[t, k + 2]
-                other *= second[n, k + 2]
-            union = area + other - shared
+                other_area *= second[n, k + 2]
+            union = area + other_area - shared
             if union > 0.0:
                 overlaps[t, n] = shared / union
     return overlaps

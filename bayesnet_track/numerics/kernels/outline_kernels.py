@@ -19,7 +19,7 @@ def straight_outlines(axes: Floats, origin: Floats, ground: Floats) -> tuple[Flo
     """
     count = ground.shape[0]
     boxes, slopes = np.empty((count, 4)), np.empty((count, 4, 4))
-    centre, halves, seen = np.empty(3), np.empty(3), np.empty(3)
+    centre, halves, tangent_axes = np.empty(3), np.empty(3), np.empty(3)
     bounds, moves = np.empty((2, 2)), np.empty((2, 2, 4))
     for n in range(count):
         width, height = ground[n, 2], ground[n, 3]
@@ -34,28 +34,32 @@ def straight_outlines(axes: Floats, origin: Floats, ground: Floats) -> tuple[Flo
         is_seen = centre[2] > math.sqrt(reached)
         for b in range(2):
             # s_k^2 (a_k - d g_k)^2 = (p - d q)^2 with d = x or y, a its row of the axes, g the depth's
-            along = across = 0.0
+            along = square = 0.0
             middle = centre[b] / centre[2] if is_seen else 0.0
             for k in range(3):
-                around = axes[b, k] - middle * axes[2, k]
-                along += halves[k] ** 2 * around * axes[2, k]
-                across += halves[k] ** 2 * around**2
-            last = reached - centre[2] ** 2
-            inside = along * along - across * last
-            is_seen = is_seen and inside >= 0.0
+                centred_axis = axes[b, k] - middle * axes[2, k]
+                along += halves[k] ** 2 * centred_axis * axes[2, k]
+                square += halves[k] ** 2 * centred_axis**2
+            depth_term = reached - centre[2] ** 2
+            discriminant = along * along - square * depth_term
+            is_seen = is_seen and discriminant >= 0.0
             for side in range(2):
                 sign = -1.0 if side == 0 else 1.0
-                offset = (along - sign * math.sqrt(max(inside, 0.0))) / last if is_seen else 0.0
-                below = (along - offset * last) * 2.0
+                offset = (along - sign * math.sqrt(max(discriminant, 0.0))) / depth_term if is_seen else 0.0
+                double_depth = (along - offset * depth_term) * 2.0
                 bounds[b, side] = middle + offset
                 for k in range(3):
-                    seen[k] = axes[b, k] - (middle + offset) * axes[2, k]
+                    tangent_axes[k] = axes[b, k] - (middle + offset) * axes[2, k]
                 p = -offset * centre[2]
-                if is_seen and below != 0.0:
-                    moves[b, side, 0] = -2.0 * p * seen[0] / below
-                    moves[b, side, 1] = -2.0 * p * seen[1] / below
-                    moves[b, side, 2] = width / 2 * (seen[0] ** 2 + seen[1] ** 2) / below
-                    moves[b, side, 3] = (height / 2 * seen[2] ** 2 - p * seen[2]) / below
+                if is_seen and double_depth != 0.0:
+                    moves[b, side, 0] = -2.0 * p * tangent_axes[0] / double_depth
+                    moves[b, side, 1] = -2.0 * p * tangent_axes[1] / double_depth
+                    moves[b, side, 2] = (
+                        width / 2 * (tangent_axes[0] ** 2 + tangent_axes[1] ** 2) / double_depth
+                    )
+                    moves[b, side, 3] = (
+                        height / 2 * tangent_axes[2] ** 2 - p * tangent_axes[2]
+                    ) / double_depth
                 else:
                     moves[b, side] = math.nan
         for b in range(2):

@@ -51,37 +51,37 @@ def gate_rows(
     for t in range(count):
         room += ends[t] - starts[t]
     rows, columns, gains = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
-    spread, lower, away = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4)
+    spread, lower, innovation = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4)
     pairs = 0
     for t in range(count):
-        for at in range(starts[t], ends[t]):
-            n = order[at]
+        for place in range(starts[t], ends[t]):
+            n = order[place]
             dy = boxes[n, 1] - mean[t, 1]
             if dy * dy > limit * (covariance[t, 1, 1] + variances[n, 1]) * (1.0 + 1e-9):
                 continue
-            shared, area, other = 1.0, 1.0, 1.0
+            shared, area, other_area = 1.0, 1.0, 1.0
             for k in range(2):
                 low = max(mean[t, k] - mean[t, k + 2] / 2, boxes[n, k] - boxes[n, k + 2] / 2)
                 high = min(mean[t, k] + mean[t, k + 2] / 2, boxes[n, k] + boxes[n, k + 2] / 2)
                 shared *= max(high - low, 0.0)
                 area *= mean[t, k + 2]
-                other *= boxes[n, k + 2]
-            union = area + other - shared
+                other_area *= boxes[n, k + 2]
+            union = area + other_area - shared
             if (shared / union if union > 0 else 0.0) < min_overlap:
                 continue
             for i in range(4):
-                away[i] = boxes[n, i] - mean[t, i]
+                innovation[i] = boxes[n, i] - mean[t, i]
                 for j in range(4):
                     spread[i, j] = covariance[t, i, j]
                 spread[i, i] += variances[n, i]
             half = factor(spread, lower, 4)
             d2 = 0.0
             for i in range(4):
-                value = away[i]
+                value = innovation[i]
                 for j in range(i):
-                    value -= lower[i, j] * away[j]
-                away[i] = value / lower[i, i]
-                d2 += away[i] * away[i]
+                    value -= lower[i, j] * innovation[j]
+                innovation[i] = value / lower[i, i]
+                d2 += innovation[i] * innovation[i]
             if d2 <= limit:
                 rows[pairs], columns[pairs], gains[pairs] = t, n, -0.5 * (d2 + 2.0 * half)
                 pairs += 1
@@ -103,40 +103,42 @@ def overlap_rows(
     rows, columns, overlaps = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
     pairs = 0
     for t in range(count):
-        for at in range(starts[t], ends[t]):
-            n = order[at]
-            shared, area, other = 1.0, 1.0, 1.0
+        for place in range(starts[t], ends[t]):
+            n = order[place]
+            shared, area, other_area = 1.0, 1.0, 1.0
             for k in range(2):
                 low = max(expected[t, k] - expected[t, k + 2] / 2, boxes[n, k] - boxes[n, k + 2] / 2)
                 high = min(expected[t, k] + expected[t, k + 2] / 2, boxes[n, k] + boxes[n, k + 2] / 2)
                 shared *= max(high - low, 0.0)
                 area *= expected[t, k + 2]
-                other *= boxes[n, k + 2]
+                other_area *= boxes[n, k + 2]
             if shared > 0.0:
-                rows[pairs], columns[pairs], overlaps[pairs] = t, n, shared / (area + other - shared)
+                rows[pairs], columns[pairs], overlaps[pairs] = t, n, shared / (area + other_area - shared)
                 pairs += 1
     return rows[:pairs].copy(), columns[:pairs].copy(), overlaps[:pairs].copy()
 
 
 @compiled
-def find_group(parents: Ints, one: int) -> int:
-    """The number of the group that `one` is in."""
-    while parents[one] != one:
-        parents[one] = parents[parents[one]]
-        one = parents[one]
-    return one
+def find_group(parents: Ints, member: int) -> int:
+    """The number of the group that `member` is in."""
+    while parents[member] != member:
+        parents[member] = parents[parents[member]]
+        member = parents[member]
+    return member
 
 
 @compiled
-def settle_pairs(rows: Ints, columns: Ints, gains: Floats, count: int, found: int) -> tuple[Ints, Ints]:
+def settle_pairs(
+    rows: Ints, columns: Ints, gains: Floats, count: int, column_count: int
+) -> tuple[Ints, Ints]:
     """Assign where it is plain: (T,) columns of the rows or -1, and of each pair (P,) its open group or -1.
 
     Rows and columns that pairs connect form a group. Where the best columns of all its rows differ, or the
     best rows of all its columns do, these are as many pairs as can be, and the best.
     """
     owner = np.full(count, -1)
-    parents = np.arange(count + found)
-    best_of_row, best_of_column = np.full(count, -1), np.full(found, -1)
+    parents = np.arange(count + column_count)
+    best_of_row, best_of_column = np.full(count, -1), np.full(column_count, -1)
     for p in range(rows.shape[0]):
         t, n = rows[p], columns[p]
         if best_of_row[t] < 0 or gains[p] > gains[best_of_row[t]]:
@@ -146,15 +148,15 @@ def settle_pairs(rows: Ints, columns: Ints, gains: Floats, count: int, found: in
         first, second = find_group(parents, t), find_group(parents, count + n)
         if first != second:
             parents[second] = first
-    taken_columns, taken_rows = np.zeros(found, np.bool_), np.zeros(count, np.bool_)
-    by_rows, by_columns = np.ones(count + found, np.bool_), np.ones(count + found, np.bool_)
+    taken_columns, taken_rows = np.zeros(column_count, np.bool_), np.zeros(count, np.bool_)
+    by_rows, by_columns = np.ones(count + column_count, np.bool_), np.ones(count + column_count, np.bool_)
     for t in range(count):
         if best_of_row[t] >= 0:
             n = columns[best_of_row[t]]
             if taken_columns[n]:
                 by_rows[find_group(parents, t)] = False
             taken_columns[n] = True
-    for n in range(found):
+    for n in range(column_count):
         if best_of_column[n] >= 0:
             t = rows[best_of_column[n]]
             if taken_rows[t]:
@@ -162,31 +164,31 @@ def settle_pairs(rows: Ints, columns: Ints, gains: Floats, count: int, found: in
             taken_rows[t] = True
     group = np.full(rows.shape[0], -1)
     for p in range(rows.shape[0]):
-        own = find_group(parents, rows[p])
-        if by_rows[own]:
+        root = find_group(parents, rows[p])
+        if by_rows[root]:
             if best_of_row[rows[p]] == p:
                 owner[rows[p]] = columns[p]
-        elif by_columns[own]:
+        elif by_columns[root]:
             if best_of_column[columns[p]] == p:
                 owner[rows[p]] = columns[p]
         else:
-            group[p] = own
+            group[p] = root
     return owner, group
 
 
 @compiled
 def open_groups(
-    rows: Ints, columns: Ints, gains: Floats, group: Ints, count: int, found: int
+    rows: Ints, columns: Ints, gains: Floats, group: Ints, count: int, column_count: int
 ) -> tuple[Floats, Ints, Ints, Ints]:
     """The gains of each open group of `settle_pairs` as a matrix, -inf where there is no pair.
 
     All matrices, one after the other; the rows and the columns of the groups, likewise, in their order; and
     (G + 1, 3) where the matrix, the rows and the columns of a group begin.
     """
-    number, group_of, at = (
-        np.full(count + found, -1),
-        np.full(count + found, -1),
-        np.zeros(count + found, np.int64),
+    number, group_of, position = (
+        np.full(count + column_count, -1),
+        np.full(count + column_count, -1),
+        np.zeros(count + column_count, np.int64),
     )
     groups = 0
     for p in range(rows.shape[0]):
@@ -196,27 +198,27 @@ def open_groups(
                 groups += 1
             group_of[rows[p]] = group_of[count + columns[p]] = number[group[p]]
     sizes, starts = np.zeros((groups, 2), np.int64), np.zeros((groups + 1, 3), np.int64)
-    for one in range(count + found):
-        if group_of[one] >= 0:
-            side = 0 if one < count else 1
-            at[one] = sizes[group_of[one], side]
-            sizes[group_of[one], side] += 1
+    for member in range(count + column_count):
+        if group_of[member] >= 0:
+            side = 0 if member < count else 1
+            position[member] = sizes[group_of[member], side]
+            sizes[group_of[member], side] += 1
     for g in range(groups):
         starts[g + 1, 0] = starts[g, 0] + sizes[g, 0] * sizes[g, 1]
         starts[g + 1, 1] = starts[g, 1] + sizes[g, 0]
         starts[g + 1, 2] = starts[g, 2] + sizes[g, 1]
     matrices = np.full(starts[groups, 0], -np.inf)
     own_rows, own_columns = np.empty(starts[groups, 1], np.int64), np.empty(starts[groups, 2], np.int64)
-    for one in range(count + found):
-        g = group_of[one]
-        if g >= 0 and one < count:
-            own_rows[starts[g, 1] + at[one]] = one
+    for member in range(count + column_count):
+        g = group_of[member]
+        if g >= 0 and member < count:
+            own_rows[starts[g, 1] + position[member]] = member
         elif g >= 0:
-            own_columns[starts[g, 2] + at[one]] = one - count
+            own_columns[starts[g, 2] + position[member]] = member - count
     for p in range(rows.shape[0]):
         if group[p] >= 0:
             g = number[group[p]]
-            matrices[starts[g, 0] + at[rows[p]] * sizes[g, 1] + at[count + columns[p]]] = gains[p]
+            matrices[starts[g, 0] + position[rows[p]] * sizes[g, 1] + position[count + columns[p]]] = gains[p]
     return matrices, own_rows, own_columns, starts
 
 
@@ -229,20 +231,20 @@ def cover_rows(boxes: Floats, existence: Floats, order: Ints, enough: float) -> 
     """
     count = boxes.shape[0]
     cover = np.zeros(count)
-    for at in range(count):
-        one = order[at]
-        right = boxes[one, 0] + boxes[one, 2] / 2
-        for after in range(at + 1, count):
-            other = order[after]
-            left = boxes[other, 0] - boxes[other, 2] / 2
+    for place in range(count):
+        row = order[place]
+        right = boxes[row, 0] + boxes[row, 2] / 2
+        for next_place in range(place + 1, count):
+            neighbour = order[next_place]
+            left = boxes[neighbour, 0] - boxes[neighbour, 2] / 2
             if left >= right:
                 break
-            low = max(boxes[one, 1] - boxes[one, 3] / 2, boxes[other, 1] - boxes[other, 3] / 2)
-            high = min(boxes[one, 1] + boxes[one, 3] / 2, boxes[other, 1] + boxes[other, 3] / 2)
+            low = max(boxes[row, 1] - boxes[row, 3] / 2, boxes[neighbour, 1] - boxes[neighbour, 3] / 2)
+            high = min(boxes[row, 1] + boxes[row, 3] / 2, boxes[neighbour, 1] + boxes[neighbour, 3] / 2)
             if high <= low:
                 continue
-            shared = (min(right, boxes[other, 0] + boxes[other, 2] / 2) - left) * (high - low)
-            for first, second in ((one, other), (other, one)):
+            shared = (min(right, boxes[neighbour, 0] + boxes[neighbour, 2] / 2) - left) * (high - low)
+            for first, second in ((row, neighbour), (neighbour, row)):
                 share = shared / (boxes[first, 2] * boxes[first, 3])
                 cover[first] = max(cover[first], existence[second] * min(share / enough, 1.0))
     return cover
@@ -256,43 +258,43 @@ def mix_row(
 
     Each gives a Kalman update, `missed` leaves the prediction; mean and covariance are those of the mixture.
     """
-    size, several = mean.shape[0], boxes.shape[0]
-    work, away = np.empty((3, size, size)), np.empty(4)
-    means, shares = np.empty((several + 1, size)), np.empty(several + 1)
-    spread, own = np.empty((size, size)), np.empty((size, size))
-    shares[several], evidence = missed, missed
+    size, count = mean.shape[0], boxes.shape[0]
+    work, innovation = np.empty((3, size, size)), np.empty(4)
+    means, shares = np.empty((count + 1, size)), np.empty(count + 1)
+    spread, updated = np.empty((size, size)), np.empty((size, size))
+    shares[count], evidence = missed, missed
     for i in range(size):
-        means[several, i] = mean[i]
+        means[count, i] = mean[i]
         for k in range(size):
             spread[i, k] = missed * covariance[i, k]
-    for n in range(several):
+    for n in range(count):
         shares[n] = weights[n]
         for i in range(size):
             means[n, i] = mean[i]
             for k in range(size):
-                own[i, k] = covariance[i, k]
+                updated[i, k] = covariance[i, k]
         for k in range(4):
-            away[k] = boxes[n, k] - mean[k]
-        log = correct_row(means[n], own, away, variances[n], work)
-        if several == 1 and missed == 0.0:
+            innovation[k] = boxes[n, k] - mean[k]
+        log = correct_row(means[n], updated, innovation, variances[n], work)
+        if count == 1 and missed == 0.0:
             for i in range(size):
                 mean[i] = means[0, i]
                 for k in range(size):
-                    covariance[i, k] = own[i, k]
+                    covariance[i, k] = updated[i, k]
             return log
         evidence += weights[n] * math.exp(log)
         for i in range(size):
             for k in range(size):
-                spread[i, k] += weights[n] * own[i, k]
+                spread[i, k] += weights[n] * updated[i, k]
     for i in range(size):
         value = 0.0
-        for n in range(several + 1):
+        for n in range(count + 1):
             value += shares[n] * means[n, i]
         mean[i] = value
     for i in range(size):
         for k in range(i + 1):
             value = spread[i, k]
-            for n in range(several + 1):
+            for n in range(count + 1):
                 value += shares[n] * (means[n, i] - mean[i]) * (means[n, k] - mean[k])
             covariance[i, k], covariance[k, i] = value, value
     return math.log(evidence)
@@ -323,7 +325,7 @@ def measure_and_mix_rows(
     boxes: Floats,
     variances: Floats,
     shares: tuple[Floats, Floats],
-    drawn: Floats,
+    samples: Floats,
     limits: tuple[float, float],
     image: Floats,
     counts: Bools,
@@ -333,24 +335,26 @@ def measure_and_mix_rows(
     `shares` are the weights of the boxes and (T,) `missed`, `limits` the floor of a likelihood and the share
     of its sd below which a field is known from others.
     """
-    (mean, covariance), (weights, missed), (floor, alone) = moments, shares, limits
+    (mean, covariance), (weights, missed), (floor, least_share) = moments, shares, limits
     count, size = mean.shape
-    found = np.zeros((count, MEASURES))
-    lower, rest, scale = np.zeros((size, size)), np.empty((size, size)), np.empty(size)
-    most = max(2 * size + 1, drawn.shape[1])
-    points_at = np.empty((most, 4))
-    log, prior = np.empty(most), np.empty(most)
+    measures = np.zeros((count, MEASURES))
+    lower, remainder, scale = np.zeros((size, size)), np.empty((size, size)), np.empty(size)
+    capacity = max(2 * size + 1, samples.shape[1])
+    points_at = np.empty((capacity, 4))
+    log, prior = np.empty(capacity), np.empty(capacity)
     for t in range(count):
         a, b = starts[t], starts[t + 1]
-        points = drawn.shape[1]
+        points = samples.shape[1]
         if points == 0:
-            points = place_row(mean[t], covariance[t], image, alone, (points_at, prior), (lower, rest, scale))
+            points = place_row(
+                mean[t], covariance[t], image, least_share, (points_at, prior), (lower, remainder, scale)
+            )
         else:
             for n in range(points):
                 prior[n] = -math.log(points)
                 for k in range(4):
-                    points_at[n, k] = drawn[t, n, k]
-        best, top = 0, -np.inf
+                    points_at[n, k] = samples[t, n, k]
+        likeliest, top = 0, -np.inf
         for n in range(points):
             likelihood = missed[t] if b > a else 1.0
             for e in range(a, b):
@@ -359,34 +363,34 @@ def measure_and_mix_rows(
                     d2 += (points_at[n, k] - boxes[e, k]) ** 2 / variances[e, k]
                 likelihood += weights[e] * (floor + (1.0 - floor) * math.exp(-0.5 * d2))
             log[n] = min(math.log(likelihood), 0.0)
-            if log[n] > log[best]:
-                best = n
+            if log[n] > log[likeliest]:
+                likeliest = n
             top = max(top, prior[n] + log[n])
         total = 0.0
         for n in range(points):
             total += math.exp(prior[n] + log[n] - top)
         total = top + math.log(total)
-        moved, squares = 0.0, 0.0
+        nats, squares = 0.0, 0.0
         for n in range(points):
             weight = math.exp(prior[n] + log[n] - total)
-            moved += weight * (log[n] - total)
+            nats += weight * (log[n] - total)
             squares += weight * weight
             for k in range(4):
                 if counts[k]:
-                    found[t, AGENT_UD] += weight * (points_at[n, k] - points_at[best, k]) ** 2
+                    measures[t, AGENT_UD] += weight * (points_at[n, k] - points_at[likeliest, k]) ** 2
         if b > a:
-            found[t, LOG_EVIDENCE] = mix_row(
+            measures[t, LOG_EVIDENCE] = mix_row(
                 mean[t], covariance[t], boxes[a:b], variances[a:b], weights[a:b], missed[t]
             )
-            found[t, NATS] = found[t, STRENGTH] = max(moved, 0.0)
-            found[t, FIT] = math.exp(log[best])
-        found[t, ESS], found[t, HYPOTHESES] = 1.0 / squares, points
+            measures[t, NATS] = measures[t, STRENGTH] = max(nats, 0.0)
+            measures[t, FIT] = math.exp(log[likeliest])
+        measures[t, ESS], measures[t, HYPOTHESES] = 1.0 / squares, points
         mean[t, 2], mean[t, 3] = max(mean[t, 2], 1.0), max(mean[t, 3], 1.0)
         sides = 1.0
         for k in range(4):
             if counts[k]:
-                found[t, UD] += covariance[t, k, k]
+                measures[t, UD] += covariance[t, k, k]
         for k in range(2):
             sides *= min(mean[t, k + 2], 2.0 * image[k])
-        found[t, AREA] = sides
-    return found
+        measures[t, AREA] = sides
+    return measures

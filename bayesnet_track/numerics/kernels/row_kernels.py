@@ -41,7 +41,7 @@ def predict_rows(
     most those of one that may be anywhere (`belief.motion.borders.Confined`).
     """
     count, size = mean.shape
-    new, spread = np.empty((count, size)), np.empty((count, size, size))
+    predicted, spread = np.empty((count, size)), np.empty((count, size, size))
     half, shrink = np.empty((size, size)), np.empty(size)
     parts, columns = np.zeros(size, np.int64), np.empty((size, size), np.int64)
     for i in range(size):
@@ -56,11 +56,11 @@ def predict_rows(
                 half[i, k] = 0.0
             for n in range(parts[i]):
                 j = columns[i, n]
-                by = move[i, j]
-                value += by * mean[t, j]
+                weight = move[i, j]
+                value += weight * mean[t, j]
                 for k in range(size):
-                    half[i, k] += by * covariance[t, j, k]
-            new[t, i] = value
+                    half[i, k] += weight * covariance[t, j, k]
+            predicted[t, i] = value
         for i in range(size):
             for k in range(size):
                 value = 0.0
@@ -70,17 +70,17 @@ def predict_rows(
                 spread[t, i, k] = value + noise[i, k]
         for i in range(size):
             for k in range(i):
-                both = 0.5 * (spread[t, i, k] + spread[t, k, i])
-                spread[t, i, k], spread[t, k, i] = both, both
+                average = 0.5 * (spread[t, i, k] + spread[t, k, i])
+                spread[t, i, k], spread[t, k, i] = average, average
         is_wide = False
         for k in range(size):
             shrink[k] = 1.0
         for k in range(4):
             extent = image[k % 2]
-            least = 0.0 if extent < np.inf else -np.inf
-            low, high = (least, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
-            new[t, k] = min(max(new[t, k], low), high)
-            limit = math.sqrt((high - low) ** 2 / 12 + (new[t, k] - (low + high) / 2) ** 2)
+            lowest = 0.0 if extent < np.inf else -np.inf
+            low, high = (lowest, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+            predicted[t, k] = min(max(predicted[t, k], low), high)
+            limit = math.sqrt((high - low) ** 2 / 12 + (predicted[t, k] - (low + high) / 2) ** 2)
             sd = math.sqrt(spread[t, k, k])
             if sd > limit:
                 shrink[k] = limit / sd
@@ -89,18 +89,20 @@ def predict_rows(
             for i in range(size):
                 for k in range(size):
                     spread[t, i, k] *= shrink[i] * shrink[k]
-    return new, spread
+    return predicted, spread
 
 
 @compiled
-def correct_row(mean: Floats, covariance: Floats, away: Floats, variances: Floats, work: Floats) -> float:
+def correct_row(
+    mean: Floats, covariance: Floats, innovation: Floats, variances: Floats, work: Floats
+) -> float:
     """The Kalman update of a row by a measurement of its box, in place, Joseph's form; its log likelihood.
 
-    `away` (4,) is what was measured less the mean; `work` (3, D, D) is room to work in.
+    `innovation` (4,) is what was measured less the mean; `work` (3, D, D) is room to work in.
     """
     size = mean.shape[0]
-    gain, kept, half = work[0], work[1], work[2]
-    spread, lower, seen = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4)
+    gain, complement, half = work[0], work[1], work[2]
+    spread, lower, whitened = np.empty((4, 4)), np.zeros((4, 4)), np.empty(4)
     for i in range(4):
         for j in range(4):
             spread[i, j] = covariance[i, j]
@@ -108,11 +110,11 @@ def correct_row(mean: Floats, covariance: Floats, away: Floats, variances: Float
     half_log = factor(spread, lower, 4)
     d2, log_noise = 0.0, 0.0
     for i in range(4):
-        value = away[i]
+        value = innovation[i]
         for j in range(i):
-            value -= lower[i, j] * seen[j]
-        seen[i] = value / lower[i, i]
-        d2 += seen[i] * seen[i]
+            value -= lower[i, j] * whitened[j]
+        whitened[i] = value / lower[i, i]
+        d2 += whitened[i] * whitened[i]
         log_noise += math.log(variances[i])
     for k in range(size):  # gain = P H' S^-1, a row at a time
         for i in range(4):
@@ -127,28 +129,28 @@ def correct_row(mean: Floats, covariance: Floats, away: Floats, variances: Float
             gain[k, i] = value / lower[i, i]
     for k in range(size):
         for i in range(4):
-            mean[k] += gain[k, i] * away[i]
+            mean[k] += gain[k, i] * innovation[i]
         for i in range(4):  # of I - K H only these columns are not those of I
-            kept[k, i] = (1.0 if k == i else 0.0) - gain[k, i]
+            complement[k, i] = (1.0 if k == i else 0.0) - gain[k, i]
     for i in range(size):
         for k in range(size):
             value = 0.0
             for j in range(4):
-                value += kept[i, j] * covariance[j, k]
+                value += complement[i, j] * covariance[j, k]
             half[i, k] = value + covariance[i, k] if i >= 4 else value
     for i in range(size):
         for k in range(i + 1):
-            value, other, noise = 0.0, 0.0, 0.0
+            value, mirrored, noise = 0.0, 0.0, 0.0
             for j in range(4):
-                value += half[i, j] * kept[k, j]
-                other += half[k, j] * kept[i, j]
+                value += half[i, j] * complement[k, j]
+                mirrored += half[k, j] * complement[i, j]
                 noise += gain[i, j] * variances[j] * gain[k, j]
             if k >= 4:
                 value += half[i, k]
             if i >= 4:
-                other += half[k, i]
-            both = 0.5 * (value + other) + noise
-            covariance[i, k], covariance[k, i] = both, both
+                mirrored += half[k, i]
+            average = 0.5 * (value + mirrored) + noise
+            covariance[i, k], covariance[k, i] = average, average
     return 0.5 * log_noise - half_log - 0.5 * d2
 
 
@@ -183,71 +185,73 @@ def follow_row(
 
 
 @compiled
-def innovation_d2(covariance: Floats, away: Floats, variances: Floats) -> float:
-    """Squared Mahalanobis distance of what was measured, `away` (4,) from the mean, of a box."""
+def innovation_d2(covariance: Floats, innovation: Floats, variances: Floats) -> float:
+    """Squared Mahalanobis distance of a measured box, whose `innovation` (4,) is that from the mean."""
     spread, lower, d2 = np.empty((4, 4)), np.zeros((4, 4)), 0.0
     for i in range(4):
         for j in range(4):
             spread[i, j] = covariance[i, j]
         spread[i, i] += variances[i]
     factor(spread, lower, 4)
-    seen = np.empty(4)
+    whitened = np.empty(4)
     for i in range(4):
-        value = away[i]
+        value = innovation[i]
         for j in range(i):
-            value -= lower[i, j] * seen[j]
-        seen[i] = value / lower[i, i]
-        d2 += seen[i] * seen[i]
+            value -= lower[i, j] * whitened[j]
+        whitened[i] = value / lower[i, i]
+        d2 += whitened[i] * whitened[i]
     return d2
 
 
 @compiled
 def update_rows(
     moments: tuple[Floats, Floats],
-    own: Floats,
-    seen: Bools,
+    detections: Floats,
+    is_detected: Bools,
     variances: Floats,
-    drawn: Floats,
+    samples: Floats,
     limits: tuple[float, float, float],
     image: Floats,
     counts: Bools,
 ) -> Floats:
-    """Update rows (T, D), (T, D, D) in place by the boxes `own` (T, 4) of those `seen`; (T, 10) of each.
+    """Update rows (T, D), (T, D, D) in place by `detections` (T, 4) where `is_detected`; (T, 10) of each.
 
     The columns: `LOG_EVIDENCE`; `NATS`, KL of the hypotheses' posterior from their prior; `ESS`, effective
     sample size; how many `HYPOTHESES`; `AGENT_UD`; `UD`, both px^2; `FIT`, the best likelihood (0 where not
     seen); `AREA` of the mean box, px^2; `STRENGTH`, KL of what the agent says from the prior; `D2` of a box
-    that is not used, 0 of others. The hypotheses are the boxes `drawn` (T, N, 4), or the sigma points where
+    that is not used, 0 of others. The hypotheses are the boxes `samples` (T, N, 4), or the sigma points where
     there are none; `counts` (4,) are the fields of UD. `limits` are the floor of a likelihood, the largest
     squared distance of a box that is used, and the share of its sd below which a field is known from others.
     """
     mean, covariance = moments
-    floor, farthest, alone = limits
+    floor, farthest, least_share = limits
     count, size = mean.shape
-    found = np.zeros((count, MEASURES))
-    lower, rest, scale = np.zeros((size, size)), np.empty((size, size)), np.empty(size)
-    most = max(2 * size + 1, drawn.shape[1])
-    boxes, work = np.empty((most, 4)), np.empty((3, size, size))
-    log, prior, away = np.empty(most), np.empty(most), np.empty(4)
+    measures = np.zeros((count, MEASURES))
+    lower, remainder, scale = np.zeros((size, size)), np.empty((size, size)), np.empty(size)
+    capacity = max(2 * size + 1, samples.shape[1])
+    boxes, work = np.empty((capacity, 4)), np.empty((3, size, size))
+    log, prior, innovation = np.empty(capacity), np.empty(capacity), np.empty(4)
     for t in range(count):
-        points = drawn.shape[1]
+        points = samples.shape[1]
         if points == 0:
-            points = place_row(mean[t], covariance[t], image, alone, (boxes, prior), (lower, rest, scale))
+            points = place_row(
+                mean[t], covariance[t], image, least_share, (boxes, prior), (lower, remainder, scale)
+            )
         else:
             for n in range(points):
                 prior[n] = -math.log(points)
                 for k in range(4):
-                    boxes[n, k] = drawn[t, n, k]
-        best, top = 0, -np.inf
+                    boxes[n, k] = samples[t, n, k]
+        likeliest, top = 0, -np.inf
         for n in range(points):
             log[n] = 0.0
-            if seen[t]:
+            if is_detected[t]:
                 d2 = 0.0
                 for k in range(4):
-                    d2 += (boxes[n, k] - own[t, k]) ** 2 / variances[t, k]
+                    d2 += (boxes[n, k] - detections[t, k]) ** 2 / variances[t, k]
                 log[n] = min(math.log(floor + (1.0 - floor) * math.exp(-0.5 * d2)), 0.0)
-            if log[n] > log[best]:
-                best = n
+            if log[n] > log[likeliest]:
+                likeliest = n
             top = max(top, prior[n] + log[n])
         total, share = 0.0, 0.0
         for n in range(points):
@@ -255,37 +259,39 @@ def update_rows(
                 share = math.exp(prior[n] + log[n] - top)
             total += share
         total = top + math.log(total)
-        moved, squares, agent_ud, weight = 0.0, 0.0, 0.0, 0.0
+        nats, squares, agent_ud, weight = 0.0, 0.0, 0.0, 0.0
         for n in range(points):
             if n < 2 or log[n] != log[n - 1]:
                 weight = math.exp(prior[n] + log[n] - total)
-            moved += weight * (log[n] - total)
+            nats += weight * (log[n] - total)
             squares += weight * weight
             for k in range(4):
                 if counts[k]:
-                    agent_ud += weight * (boxes[n, k] - boxes[best, k]) ** 2
-        if seen[t]:
+                    agent_ud += weight * (boxes[n, k] - boxes[likeliest, k]) ** 2
+        if is_detected[t]:
             for k in range(4):
-                away[k] = own[t, k] - mean[t, k]
-            found[t, FIT], found[t, STRENGTH] = math.exp(log[best]), max(moved, 0.0)
-            d2 = innovation_d2(covariance[t], away, variances[t]) if farthest < np.inf else 0.0
+                innovation[k] = detections[t, k] - mean[t, k]
+            measures[t, FIT], measures[t, STRENGTH] = math.exp(log[likeliest]), max(nats, 0.0)
+            d2 = innovation_d2(covariance[t], innovation, variances[t]) if farthest < np.inf else 0.0
             if d2 > farthest:
-                found[t, D2], squares = d2, 0.0
+                measures[t, D2], squares = d2, 0.0
                 for n in range(points):
                     squares += math.exp(2.0 * prior[n])
             else:
-                found[t, LOG_EVIDENCE] = correct_row(mean[t], covariance[t], away, variances[t], work)
-                found[t, NATS] = max(moved, 0.0)
-        found[t, ESS], found[t, HYPOTHESES], found[t, AGENT_UD] = 1.0 / squares, points, agent_ud
+                measures[t, LOG_EVIDENCE] = correct_row(
+                    mean[t], covariance[t], innovation, variances[t], work
+                )
+                measures[t, NATS] = max(nats, 0.0)
+        measures[t, ESS], measures[t, HYPOTHESES], measures[t, AGENT_UD] = 1.0 / squares, points, agent_ud
         for k in range(4):
             if counts[k]:
-                found[t, UD] += covariance[t, k, k]
+                measures[t, UD] += covariance[t, k, k]
         mean[t, 2], mean[t, 3] = max(mean[t, 2], 1.0), max(mean[t, 3], 1.0)
         sides = 1.0
         for k in range(2):
             sides *= min(max(mean[t, k + 2], 1.0), 2.0 * image[k])
-        found[t, AREA] = sides
-    return found
+        measures[t, AREA] = sides
+    return measures
 
 
 @compiled
@@ -293,7 +299,7 @@ def place_row(
     mean: Floats,
     covariance: Floats,
     image: Floats,
-    alone: float,
+    least_share: float,
     points: tuple[Floats, Floats],
     rooms: tuple[Floats, Floats, Floats],
 ) -> int:
@@ -303,21 +309,21 @@ def place_row(
     `root_of`.
     """
     boxes, prior = points
-    lower, rest, scale = rooms
+    lower, remainder, scale = rooms
     size = mean.shape[0]
-    width = root_of(covariance, lower, rest, scale, alone)
-    far = math.sqrt(width + 1.0)
+    width = root_of(covariance, lower, remainder, scale, least_share)
+    distance = math.sqrt(width + 1.0)
     log_first, log_other = -math.log(width + 1.0), -math.log(2.0 * (width + 1.0))
     for n in range(2 * width + 1):
         prior[n] = log_first if n == 0 else log_other
         for k in range(4):
             value = mean[k]
             if n > 0:
-                step = far * lower[k, (n - 1) % width]
+                step = distance * lower[k, (n - 1) % width]
                 value = value + step if n <= width else value - step
             extent = image[k % 2]
-            least = 0.0 if extent < np.inf else -np.inf
-            low, high = (least, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
+            lowest = 0.0 if extent < np.inf else -np.inf
+            low, high = (lowest, extent - 1.0) if k < 2 else (1.0, 2.0 * extent)
             boxes[n, k] = min(max(value, low), high)
     for i in range(size):
         for k in range(i + 1):
@@ -349,32 +355,32 @@ def take_median(values: Floats, count: int) -> float:
             high = j
     if count % 2:
         return float(values[middle])
-    below = values[0]
+    lower = values[0]
     for k in range(1, middle):
-        below = max(below, values[k])
-    return float((below + values[middle]) / 2)
+        lower = max(lower, values[k])
+    return float((lower + values[middle]) / 2)
 
 
 @compiled
 def append_medians(
-    values: Floats, counts: Ints, new: Floats, adds: Bools, least: int
+    values: Floats, counts: Ints, latest: Floats, adds: Bools, least_count: int
 ) -> tuple[Floats, Ints, Floats]:
     """The windows (T, W) of last values, filled from the right, with one more in the rows that `adds`.
 
-    Also how many each holds, and their medians; NaN where there are fewer than `least`.
+    Also how many each holds, and their medians; NaN where there are fewer than `least_count`.
     """
     rows, size = values.shape
-    after, held, medians = values.copy(), counts.copy(), np.full(rows, np.nan)
+    windows, lengths, medians = values.copy(), counts.copy(), np.full(rows, np.nan)
     room = np.empty(size)
     for t in range(rows):
         if adds[t]:
             for k in range(size - 1):
-                after[t, k] = values[t, k + 1]
-            after[t, size - 1] = new[t]
-            held[t] = min(counts[t] + 1, size)
-        n = held[t]
-        if n >= least:
+                windows[t, k] = values[t, k + 1]
+            windows[t, size - 1] = latest[t]
+            lengths[t] = min(counts[t] + 1, size)
+        n = lengths[t]
+        if n >= least_count:
             for k in range(n):
-                room[k] = after[t, size - n + k]
+                room[k] = windows[t, size - n + k]
             medians[t] = take_median(room, n)
-    return after, held, medians
+    return windows, lengths, medians

@@ -46,39 +46,39 @@ def weigh_members(
     """
     farthest, steep, half = limits
     weights, log_weights = prior
-    each, found = np.empty((4, log.shape[0])), np.empty((4, starts.shape[0] - 1))
-    for m in range(found.shape[1]):
-        best = -np.inf
+    each, measures = np.empty((4, log.shape[0])), np.empty((4, starts.shape[0] - 1))
+    for m in range(measures.shape[1]):
+        best_log = -np.inf
         for n in range(starts[m], starts[m + 1]):
-            best = max(best, log[n])
-        perfect, least, highest = max(tops[m], best), best, -np.inf
+            best_log = max(best_log, log[n])
+        perfect, lowest, highest = max(tops[m], best_log), best_log, -np.inf
         for n in range(starts[m], starts[m + 1]):
-            value = max(log[n], best - farthest)
-            least, loss = min(least, value), perfect - value
+            value = max(log[n], best_log - farthest)
+            lowest, loss = min(lowest, value), perfect - value
             share = loss / agents[m]
             odds = np.log(np.expm1(share) + np.exp(share - steep))
             each[0, n], each[1, n] = value, loss
             each[2, n] = max((odds + steep) / (steep / half), 0.0)
-            each[3, n] = weights[n] * np.exp(value - best)
+            each[3, n] = weights[n] * np.exp(value - best_log)
             highest = max(highest, log_weights[n] - loss)
         total = 0.0
         for n in range(starts[m], starts[m + 1]):
             total += np.exp(log_weights[n] - each[1, n] - highest)
-        found[0, m], found[1, m] = perfect, highest + np.log(total)
-        found[2, m], found[3, m] = perfect - least, perfect - best
-    return each, found
+        measures[0, m], measures[1, m] = perfect, highest + np.log(total)
+        measures[2, m], measures[3, m] = perfect - lowest, perfect - best_log
+    return each, measures
 
 
 @compiled
-def together(said: Floats, at: Indices, speaking: Indices, size: int) -> tuple[Floats, Floats]:
+def together(messages: Floats, offsets: Indices, speaking: Indices, size: int) -> tuple[Floats, Floats]:
     """(N,) products of what the pairs say of one target: where none hides it, and where one does."""
-    free, taken = np.ones(size), np.zeros(size)
+    free, occluded = np.ones(size), np.zeros(size)
     for k in speaking:
         for n in range(size):
-            own = said[0, at[k] + n] + said[1, at[k] + n]
-            taken[n] = taken[n] * own + free[n] * said[2, at[k] + n]
-            free[n] *= own
-    return free, taken
+            factor = messages[0, offsets[k] + n] + messages[1, offsets[k] + n]
+            occluded[n] = occluded[n] * factor + free[n] * messages[2, offsets[k] + n]
+            free[n] *= factor
+    return free, occluded
 
 
 @compiled
@@ -88,24 +88,24 @@ def ask(
     starts: Indices,
     evidence: Floats,
     pairs: Pairs,
-    heard: HearingPairs,
+    hearing: HearingPairs,
     draws: Draws,
-    said: Floats,
+    messages: Floats,
 ) -> tuple[Indices, Floats, Floats, Floats]:
     """Partners (R, N) of the hearer's hypotheses in pair k, and of the speaker's M what weighs them.
 
     These are log beta / q, for partners drawn by q; and what further targets say, none or one of which hides
     them. See `speak`.
     """
-    _, _, _, seen, prior, prior_log, by_place = members
-    speakers, hearers, at = pairs
+    _, _, _, posterior, prior, prior_log, by_place = members
+    speakers, hearers, offsets = pairs
     shifts, turns, begins, rounds = draws
     first, size = starts[speakers[k]], starts[speakers[k] + 1] - starts[speakers[k]]
-    free, taken = together(said, at, heard[1][heard[0][k] : heard[0][k + 1]], size)
+    free, occluded = together(messages, offsets, hearing[1][hearing[0][k] : hearing[0][k + 1]], size)
     shares, log_importance, bounds = np.empty(size), np.empty(size), np.empty(size)
     total, level = 0.0, 0.0
     for n in range(size):
-        shares[n] = seen[first + n] * (free[n] + taken[n])
+        shares[n] = posterior[first + n] * (free[n] + occluded[n])
         total += shares[n]
     for n in range(size):
         shares[n] = 0.5 * (prior[first + n] + shares[n] / total)
@@ -119,7 +119,7 @@ def ask(
     for r in range(rounds[k]):
         for n in range(count):
             partners[r, n] = picked[r * count + turns[begin + r * count + n]]
-    return partners, log_importance, free, taken
+    return partners, log_importance, free, occluded
 
 
 @compiled
@@ -129,10 +129,10 @@ def speak(
     starts: Indices,
     evidence: Floats,
     pairs: Pairs,
-    heard: HearingPairs,
+    hearing: HearingPairs,
     draws: Draws,
     rules: tuple[Floats, Floats, Floats],
-    said: Floats,
+    messages: Floats,
 ) -> None:
     """Fill in what the speakers of the pairs in `order` say, one after the other.
 
@@ -142,81 +142,84 @@ def speak(
             weights, their logarithms, and the order of a target's hypotheses by place.
         starts: (M + 1,).
         evidence: (M,) log-evidence.
-        pairs: (K,) speakers, hearers, and `at`.
-        heard: (K + 1,) where the pairs begin in the second (H,), whose speakers speak of the speaker before.
+        pairs: (K,) speakers, hearers, and offsets of their messages.
+        hearing: (K + 1,) where the pairs begin in the second (H,), whose speakers speak of the speaker
+            before.
         draws: shifts, turns, (K,) where those of a pair begin, and (K,) partners of each hypothesis.
         rules: (K, 5) what stands for hidden pixels of the speaker, of the hearer; (K, 2) probability that the
             hearer is in front, and log-odds against one box wholly on the other.
-        said: (4, ...) as `pair_sums` has it.
+        messages: (4, ...) as `pair_sums` has it.
     """
     boxes, losses, bad = members[0], members[1], members[2]
     for k in order:
-        partners, log_importance, free, taken = ask(k, members, starts, evidence, pairs, heard, draws, said)
-        first, last = starts[pairs[0][k]], starts[pairs[0][k] + 1]
+        partners, log_importance, free, occluded = ask(
+            k, members, starts, evidence, pairs, hearing, draws, messages
+        )
+        first, stop = starts[pairs[0][k]], starts[pairs[0][k] + 1]
         begin, end = starts[pairs[1][k]], starts[pairs[1][k] + 1]
-        other, own = rules[0][k], rules[1][k]
+        speaker_rules, hearer_rules = rules[0][k], rules[1][k]
         sums = pair_sums(
             boxes[begin:end],
             losses[begin:end],
             bad[begin:end],
-            (own[0], own[1], own[2], own[3], int(own[4])),
-            boxes[first:last],
-            losses[first:last],
-            bad[first:last],
-            (other[0], other[1], other[2], other[3], int(other[4])),
+            (hearer_rules[0], hearer_rules[1], hearer_rules[2], hearer_rules[3], int(hearer_rules[4])),
+            boxes[first:stop],
+            losses[first:stop],
+            bad[first:stop],
+            (speaker_rules[0], speaker_rules[1], speaker_rules[2], speaker_rules[3], int(speaker_rules[4])),
             partners,
             log_importance,
             free,
-            taken,
+            occluded,
             rules[2][k, 0],
             rules[2][k, 1],
         )
         for row in range(4):
             for n in range(end - begin):
-                said[row, pairs[2][k] + n] = sums[row, n]
+                messages[row, pairs[2][k] + n] = sums[row, n]
 
 
 @compiled
 def conclude(
-    log: Floats, seen: Floats, starts: Indices, at: Indices, heard: HearingPairs, said: Floats
+    log: Floats, posterior: Floats, starts: Indices, offsets: Indices, hearing: HearingPairs, messages: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Combine for each target all messages that it receives.
 
     Args:
         log: (S,) log-likelihoods.
-        seen: (S,) prior weights times L.
+        posterior: (S,) prior weights times L.
         starts: (M + 1,).
-        at: (K,).
-        heard: (M + 1,) where the targets begin in the second (K,), the pairs in which each hears.
-        said: (4, ...).
+        offsets: (K,).
+        hearing: (M + 1,) where the targets begin in the second (K,), the pairs in which each hears.
+        messages: (4, ...).
 
     Returns:
         (S,) log of the likelihoods times all that is said; (K,) expected share that the speaker hides of the
         hearer; (K,) probability that the hearer is in front, by all that the hearer knows.
     """
-    after, hidden, fronts = log.copy(), np.zeros(at.shape[0]), np.full(at.shape[0], 0.5)
+    combined, hidden, fronts = log.copy(), np.zeros(offsets.shape[0]), np.full(offsets.shape[0], 0.5)
     for m in range(starts.shape[0] - 1):
         begin, size = starts[m], starts[m + 1] - starts[m]
-        hears = heard[1][heard[0][m] : heard[0][m + 1]]
+        hears = hearing[1][hearing[0][m] : hearing[0][m + 1]]
         if hears.shape[0] == 0:
             continue
-        free, taken = together(said, at, hears, size)
+        free, occluded = together(messages, offsets, hears, size)
         total = 0.0
         for n in range(size):
-            after[begin + n] += np.log(free[n] + taken[n])
-            total += seen[begin + n] * (free[n] + taken[n])
+            combined[begin + n] += np.log(free[n] + occluded[n])
+            total += posterior[begin + n] * (free[n] + occluded[n])
         for i in range(hears.shape[0]):
-            k, others = hears[i], hears[np.arange(hears.shape[0]) != i]
-            rest, rest_taken = together(said, at, others, size)
+            k, other_pairs = hears[i], hears[np.arange(hears.shape[0]) != i]
+            other_free, other_occluded = together(messages, offsets, other_pairs, size)
             share, front, behind = 0.0, 0.0, 0.0
             for n in range(size):
-                weight, column = seen[begin + n], at[k] + n
-                every = rest[n] + rest_taken[n]
-                share += weight * rest[n] * said[3, column]
-                front += weight * every * said[0, column]
-                behind += weight * (every * said[1, column] + rest[n] * said[2, column])
+                weight, column = posterior[begin + n], offsets[k] + n
+                other_total = other_free[n] + other_occluded[n]
+                share += weight * other_free[n] * messages[3, column]
+                front += weight * other_total * messages[0, column]
+                behind += weight * (other_total * messages[1, column] + other_free[n] * messages[2, column])
             if total > 0.0:
                 hidden[k] = share / total
             if front + behind > 0.0:
                 fronts[k] = front / (front + behind)
-    return after, hidden, fronts
+    return combined, hidden, fronts
