@@ -33,13 +33,13 @@ def is_flat(target: CheckedTarget) -> bool:
     """True where the only beliefs of a net are the root's and its agents', and its rules ask for no more."""
     root = target.inference(target.root)
     rules = root.adapt
-    on, off = (None, None) if rules is None else (rules.activate, rules.deactivate)
-    tests = [None if on is None else on.unless, None if off is None else off.when]
+    activate, deactivate = (None, None) if rules is None else (rules.activate, rules.deactivate)
+    tests = [None if activate is None else activate.unless, None if deactivate is None else deactivate.when]
     return (
         len(target.children) == 1
         and all((target.governor[agent] or target.root) == target.root for agent in target.agents)
         and all(test is None or test.concentrated is None for test in tests)
-        and (off is None or off.drop != "most_expensive_redundant")
+        and (deactivate is None or deactivate.drop != "most_expensive_redundant")
         and isinstance(_columns(target), slice)
     )
 
@@ -87,7 +87,7 @@ class StepArrays:
         }
         factors = {name: _stack([step.evidence.factors[name] for step in steps]) for name in evidence.factors}
         return cls(
-            [one.agent for one in plan.observations if one.agent in messages],
+            [observation.agent for observation in plan.observations if observation.agent in messages],
             silent_of(evidence),
             messages | factors,
             _stack([step.prior.log for step in steps]),
@@ -103,7 +103,7 @@ def _stack(arrays: list[Floats]) -> Floats:
 
 def silent_of(evidence: Evidence) -> tuple[str, ...]:
     """The agents that measure and did not see the target."""
-    return tuple(agent for agent, own in evidence.measured.items() if own is None)
+    return tuple(agent for agent, measurement in evidence.measured.items() if measurement is None)
 
 
 def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2: Floats) -> GroupMeasures:
@@ -115,14 +115,14 @@ def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2
     without = steps.prior[None] if is_alone(plan) else tilt(steps.prior, _without_each(plan, steps))
     nats = divergences(np.broadcast_to(steps.log, (len(agents), *steps.log.shape)), without).T
     seeing = [messages[agent] for agent in agents if agent not in steps.silent]
-    total = sum((own / len(seeing) for own in seeing), np.zeros_like(steps.prior)).max(axis=1)
+    total = sum((message / len(seeing) for message in seeing), np.zeros_like(steps.prior)).max(axis=1)
     fits = np.exp(np.minimum(total, 0.0)) if seeing else np.zeros(len(areas_px2))
-    heard = np.array([messages[agent] for agent in agents]).reshape(len(agents), *steps.prior.shape)
+    agent_messages = np.array([messages[agent] for agent in agents]).reshape(len(agents), *steps.prior.shape)
     columns = {target.root: np.array(steps.uds)}, areas_px2, fits, agents, nats
-    rest = cache(partial(_find_rest, target, plan, heard, steps))
+    find_rest = cache(partial(_find_rest, target, plan, agent_messages, steps))
     uds, areas, fits, agents, nats = columns
-    of = partial(_measures_of, columns, target.root, steps.silent, rest)
-    return GroupMeasures(uds=uds, areas=areas, fits=fits, agents=agents, nats=nats, of=of)
+    measures_of = partial(_measures_of, columns, target.root, steps.silent, find_rest)
+    return GroupMeasures(uds=uds, areas=areas, fits=fits, agents=agents, nats=nats, of=measures_of)
 
 
 Columns = tuple[Mapping[str, Floats], Floats, Floats, Sequence[str], Floats]
@@ -158,10 +158,14 @@ def _find_rest(target: CheckedTarget, plan: Plan, messages: Floats, steps: StepA
     if not count:
         return ([[]] * len(prior),) * 3
     logs, boxes = tilt(prior, messages), steps.boxes[:, :, _columns(target)]
-    alone = root[None] if is_alone(plan) else logs
-    nats = divergences(np.concatenate([[root] * count, logs]), np.concatenate([alone, [prior] * count]))
-    best, rows = messages.argmax(axis=2), np.arange(len(prior))
-    uds = [uncertainties(boxes, np.exp(own), boxes[rows, at]) for own, at in zip(logs, best, strict=True)]
+    reference_logs = root[None] if is_alone(plan) else logs
+    nats = divergences(
+        np.concatenate([[root] * count, logs]), np.concatenate([reference_logs, [prior] * count])
+    )
+    peaks, rows = messages.argmax(axis=2), np.arange(len(prior))
+    uds = [
+        uncertainties(boxes, np.exp(log), boxes[rows, peak]) for log, peak in zip(logs, peaks, strict=True)
+    ]
     return nats[:count].T.tolist(), nats[count:].T.tolist(), list(zip(*uds, strict=True))
 
 
@@ -176,19 +180,21 @@ def _columns(target: CheckedTarget) -> slice | list[int]:
 def _without_each(plan: Plan, steps: StepArrays) -> Floats:
     """(A, T, N) the root's message had each agent been switched off; zeros where nothing is left."""
     shape = steps.prior.shape
-    seeing = {name: own for name, own in steps.messages.items() if name not in steps.silent}
-    left = [
-        join_plain(plan, {name: own for name, own in seeing.items() if name != agent}, shape)
+    seeing = {name: message for name, message in steps.messages.items() if name not in steps.silent}
+    joined = [
+        join_plain(plan, {name: message for name, message in seeing.items() if name != agent}, shape)
         for agent in steps.agents
     ]
     nothing = np.zeros(shape)
-    return np.array([one.get(plan.root, nothing) for one in left]).reshape(len(left), *shape)
+    return np.array([node_messages.get(plan.root, nothing) for node_messages in joined]).reshape(
+        len(joined), *shape
+    )
 
 
 def uncertainties(states: Floats, weights: Floats, centres: Floats) -> list[float]:
     """UD of each target (`numerics.log_weights.uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
-    away = (states - centres[:, None]).reshape(-1, states.shape[2])
-    squares = np.einsum("nk,nk->n", away, away).reshape(weights.shape)
+    deviations = (states - centres[:, None]).reshape(-1, states.shape[2])
+    squares = np.einsum("nk,nk->n", deviations, deviations).reshape(weights.shape)
     return [float(np.dot(*pair)) for pair in zip(weights, squares, strict=True)]
 
 
@@ -199,9 +205,9 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     nodes = list(evidence.messages)
     agents = [obs.agent for obs in plan.observations if obs.agent in evidence.messages]
     governors = [target.governor[agent] or target.root for agent in agents]
-    left = _left(target, plan, step, agents)
+    without_each = _left(target, plan, step, agents)
     # All beliefs in one matrix: those of the nodes, then what is left without each agent.
-    logs = tilt(prior, _rows((*evidence.messages.values(), *left), len(prior)))
+    logs = tilt(prior, _rows((*evidence.messages.values(), *without_each), len(prior)))
     beliefs = dict(zip(nodes, logs[: len(nodes)], strict=True))
     beliefs[target.root] = root.log
 
@@ -212,10 +218,10 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
             agent_ud[obs.agent] = _agent_ud(target, boxes, evidence.messages[obs.agent], beliefs[obs.agent])
 
     governing = [beliefs.get(governor, root.log) for governor in governors]
-    alone = governing if is_alone(plan) and not plan.draws else [beliefs[agent] for agent in agents]
+    references = governing if is_alone(plan) and not plan.draws else [beliefs[agent] for agent in agents]
     nats = divergences(
         _rows((*governing, *governing, *logs[: len(nodes)]), len(prior)),
-        _rows((*alone, *logs[len(nodes) :], *[prior] * len(nodes)), len(prior)),
+        _rows((*references, *logs[len(nodes) :], *[prior] * len(nodes)), len(prior)),
     ).tolist()
 
     parts = part_beliefs(plan, evidence, step.support.weights)
@@ -250,12 +256,14 @@ def _measure_parts(
 ) -> dict[str, PartMeasure]:
     """Part -> its measures; `ud_px2` holds the UD of every inference node."""
     part_of = part_of_agents(target) if beliefs else {}
-    found: dict[str, PartMeasure] = {}
+    measures: dict[str, PartMeasure] = {}
     for part, belief in beliefs.items():
-        own = [agent for agent in target.agents if part_of.get(agent) == part and agent in evidence.messages]
-        status = _status(target, evidence, own, belief.weights.weights)
-        found[part] = PartMeasure(belief.mean, belief.sd, ud_px2[part], status)
-    return found
+        agents = [
+            agent for agent in target.agents if part_of.get(agent) == part and agent in evidence.messages
+        ]
+        status = _status(target, evidence, agents, belief.weights.weights)
+        measures[part] = PartMeasure(belief.mean, belief.sd, ud_px2[part], status)
+    return measures
 
 
 def _status(target: CheckedTarget, evidence: Evidence, agents: list[str], weights: Floats) -> PartStatus:
@@ -263,8 +271,8 @@ def _status(target: CheckedTarget, evidence: Evidence, agents: list[str], weight
     seeing = [agent for agent in agents if evidence.measured.get(agent, evidence) is not None]
     if not seeing:
         return "hidden" if agents else "unwatched"
-    kept = weights > 0
-    fits = [float(weights[kept] @ evidence.messages[agent][kept]) for agent in seeing]
+    has_weight = weights > 0
+    fits = [float(weights[has_weight] @ evidence.messages[agent][has_weight]) for agent in seeing]
     lost = target.lost
     return "seen" if np.exp(np.mean(fits)) >= lost.fit_below else "hidden"
 
@@ -286,14 +294,14 @@ def fit_of(messages: Sequence[Floats]) -> float:
     """Largest geometric mean of a hypothesis' likelihood over agents, whose messages (N,) these are."""
     if not messages:
         return 0.0
-    first, *others = (own if len(messages) == 1 else own / len(messages) for own in messages)
-    return float(np.exp(min(float(sum(others, first).max()), 0.0)))
+    first, *more = (message if len(messages) == 1 else message / len(messages) for message in messages)
+    return float(np.exp(min(float(sum(more, first).max()), 0.0)))
 
 
 def _asks_for_the_dispensable(target: CheckedTarget, governor: str) -> bool:
     rules = target.inference(governor).adapt
-    off = None if rules is None else rules.deactivate
-    return off is not None and off.drop == "most_expensive_redundant"
+    deactivate = None if rules is None else rules.deactivate
+    return deactivate is not None and deactivate.drop == "most_expensive_redundant"
 
 
 def _ud_without(
@@ -309,7 +317,7 @@ def _that_see(
     """The agents that saw something, without those of hidden parts where others are left."""
     seeing = [agent for agent in agents if agent not in silent]
     part_of = part_of_agents(target) if parts else {}
-    hidden = {part for part, found in parts.items() if found.status == "hidden"}
+    hidden = {part for part, measure in parts.items() if measure.status == "hidden"}
     return [agent for agent in seeing if part_of.get(agent) not in hidden] or seeing
 
 
@@ -342,16 +350,16 @@ def _node_uds(
     """UD of every inference node, the root's first."""
     uds = {target.root: step.posterior.uncertainty(step.map_state, columns_of(target, target.root))}
     for node in target.order:
-        above = target.parent[node]
-        if above is None or node not in target.children:
+        parent = target.parent[node]
+        if parent is None or node not in target.children:
             continue
         if node in parts:
             uds[node] = parts[node].uncertainty(columns_of(target, node))
         elif node in beliefs:
             latent = step.evidence.latent.get(node)
             boxes = step.support.boxes if latent is None else latent.boxes
-            best = boxes[int(np.argmax(beliefs[node]))]
-            uds[node] = _ud(target, node, boxes, beliefs[node], best)
+            peak = boxes[int(np.argmax(beliefs[node]))]
+            uds[node] = _ud(target, node, boxes, beliefs[node], peak)
         else:
             uds[node] = _inherit(target, node, step, beliefs, parts)
     return uds
@@ -365,16 +373,18 @@ def _inherit(
     parts: Mapping[str, PartBelief],
 ) -> float:
     """UD, over the node's own fields, of the nearest belief above a node that hears of no agent."""
-    above: str | None = target.parent[node]
-    while above is not None and above != target.root and above not in beliefs and above not in parts:
-        above = target.parent[above]
-    if above is not None and above in parts:
-        return parts[above].uncertainty(columns_of(target, node))
-    if above is None or above == target.root:
+    ancestor: str | None = target.parent[node]
+    while (
+        ancestor is not None and ancestor != target.root and ancestor not in beliefs and ancestor not in parts
+    ):
+        ancestor = target.parent[ancestor]
+    if ancestor is not None and ancestor in parts:
+        return parts[ancestor].uncertainty(columns_of(target, node))
+    if ancestor is None or ancestor == target.root:
         return step.posterior.uncertainty(step.map_state, columns_of(target, node))
-    latent = step.evidence.latent.get(above)
+    latent = step.evidence.latent.get(ancestor)
     boxes = step.support.boxes if latent is None else latent.boxes
-    return _ud(target, node, boxes, beliefs[above], boxes[int(np.argmax(beliefs[above]))])
+    return _ud(target, node, boxes, beliefs[ancestor], boxes[int(np.argmax(beliefs[ancestor]))])
 
 
 def _insides(
@@ -384,18 +394,18 @@ def _insides(
     parts: Mapping[str, PartBelief],
 ) -> dict[tuple[str, float], Inside]:
     """Shares of belief around every node's mode (a part's estimate), in the windows of its rules."""
-    found: dict[tuple[str, float], Inside] = {}
+    insides: dict[tuple[str, float], Inside] = {}
     for node in target.children:
         for within_box in _windows(target, node):
-            found[node, within_box] = _inside(target, node, step, beliefs, parts, within_box)
-    return found
+            insides[node, within_box] = _inside(target, node, step, beliefs, parts, within_box)
+    return insides
 
 
 def _windows(target: CheckedTarget, node: str) -> set[float]:
     rules = target.inference(node).adapt
-    on = None if rules is None or rules.activate is None else rules.activate.unless
-    off = None if rules is None or rules.deactivate is None else rules.deactivate.when
-    tests = [one.concentrated for one in (on, off) if one is not None]
+    activate = None if rules is None or rules.activate is None else rules.activate.unless
+    deactivate = None if rules is None or rules.deactivate is None else rules.deactivate.when
+    tests = [one.concentrated for one in (activate, deactivate) if one is not None]
     return {test.within_box for test in tests if test is not None}
 
 
@@ -408,20 +418,20 @@ def _inside(
     within_box: float,
 ) -> Inside:
     """Of the root's posterior about the MAP; of another node's belief about its most probable hypothesis."""
-    above: str | None = node
-    while above is not None and above not in beliefs and above not in parts:
-        above = target.parent[above]
-    if above is not None and above in parts:
-        boxes, own, mode = parts[above].boxes, parts[above].weights, parts[above].mean
+    ancestor: str | None = node
+    while ancestor is not None and ancestor not in beliefs and ancestor not in parts:
+        ancestor = target.parent[ancestor]
+    if ancestor is not None and ancestor in parts:
+        boxes, weights_of_part, mode = parts[ancestor].boxes, parts[ancestor].weights, parts[ancestor].mean
         radius = within_box * float(np.sqrt(mode[2] * mode[3]))
-        share = weighted_mass_in_disc(boxes[:, :2], own.weights, mode[:2], radius)
-        return Inside(share, own.ess, radius)
-    if above is None or above == target.root:
+        share = weighted_mass_in_disc(boxes[:, :2], weights_of_part.weights, mode[:2], radius)
+        return Inside(share, weights_of_part.ess, radius)
+    if ancestor is None or ancestor == target.root:
         mode = step.map_state
         radius = within_box * float(np.sqrt(mode[2] * mode[3]))
         share, trials = step.posterior.mass_within(mode[:2], radius)
         return Inside(share, trials, radius)
-    latent, log = step.evidence.latent.get(above), beliefs[above]
+    latent, log = step.evidence.latent.get(ancestor), beliefs[ancestor]
     boxes = step.support.boxes if latent is None else latent.boxes
     mode, weights = boxes[int(np.argmax(log))], np.exp(log)
     radius = within_box * float(np.sqrt(mode[2] * mode[3]))

@@ -65,17 +65,19 @@ def evaluate(
     frame. One that measures nothing is left out of every product and pool, too; its own message is zeros.
     """
     latent = _draw_latent(plan, observer, hypotheses, views)
-    at = {plan.root: hypotheses, **latent}
+    hypotheses_of = {plan.root: hypotheses, **latent}
     messages: dict[str, Floats] = {}
     measured: dict[str, Measurement | None] = {}
     constants: dict[str, float] = {}
     faults: dict[str, str] = {}
     cameras = dict.fromkeys(step.camera for step in plan.observations if step.camera)
     regions = {
-        camera: _region({step.at: at[step.at] for step in plan.observations if step.camera == camera})
+        camera: _region(
+            {step.at: hypotheses_of[step.at] for step in plan.observations if step.camera == camera}
+        )
         for camera in cameras
     }
-    question = Question(at, prior_log, _region(latent if plan.views else at), regions)
+    question = Question(hypotheses_of, prior_log, _region(latent if plan.views else hypotheses_of), regions)
     answers = {**ahead, **known_answers(plan.observations, observer)}
     answers.update(ask_each(question, observer, [one for one in plan.observations if one not in answers]))
     for step in plan.observations:
@@ -88,12 +90,12 @@ def evaluate(
             if step.functions is not None:
                 answer = read_as(answer, step.functions, observer.cache.frames)
                 if answer.errors is not None:
-                    answer = _at_prediction(answer, step, observer, at[step.at], prior_log)
-                _note_undefined(step.agent, answer, at[step.at], observer.factors.undefined)
+                    answer = _at_prediction(answer, step, observer, hypotheses_of[step.at], prior_log)
+                _note_undefined(step.agent, answer, hypotheses_of[step.at], observer.factors.undefined)
             if not answer.choices and not isinstance(observer.cues[step.agent], AssociatingCue):
                 constants[step.agent] = answer.log_constant / step.temperature
             answer = to_power(answer, 1.0 / step.temperature)
-            messages[step.agent] = measurement_message(answer, at[step.at])
+            messages[step.agent] = measurement_message(answer, hypotheses_of[step.at])
             view = plan.view(step.at)
             measured[step.agent] = (
                 answer if view is None else through(view, answer, step.agent, _errors(step, observer))
@@ -103,14 +105,14 @@ def evaluate(
             messages[step.agent] = np.zeros(len(hypotheses))
         else:
             messages[step.agent] = answer if step.temperature == 1.0 else answer / step.temperature
-    factors = _weigh_factors(plan, observer, hypotheses, at)
+    factors = _weigh_factors(plan, observer, hypotheses, hypotheses_of)
     joined = join_messages(plan, messages | factors, measured, latent, hypotheses, prior_log)
     total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
-    said = {node: message for node, message in joined.messages.items() if node not in factors}
+    node_messages = {node: message for node, message in joined.messages.items() if node not in factors}
     present = {name for name in (*messages, *factors) if measured.get(name, ()) is not None}
     at_root = _log_constants(plan, constants, present)
-    heard = (joined.gaussians, joined.sampled, measured, factors, at_root)
-    return Evidence(total, said, latent, faults, *heard)
+    details = (joined.gaussians, joined.sampled, measured, factors, at_root)
+    return Evidence(total, node_messages, latent, faults, *details)
 
 
 def _errors(step: Observe, observer: Observer) -> Callable[[Floats], Floats] | None:
@@ -136,7 +138,7 @@ def _weigh_factors(
 
 
 def _note_undefined(
-    agent: str, measured: Measurement, hypotheses: Hypotheses, found: MutableMapping[str, Undefined]
+    agent: str, measured: Measurement, hypotheses: Hypotheses, notes: MutableMapping[str, Undefined]
 ) -> None:
     """Write down of which quantities hypotheses have no value."""
     if measured.seen is None:
@@ -146,13 +148,13 @@ def _note_undefined(
     unknown = (~np.isfinite(values)).sum(axis=0)
     for name, count in zip(measured.fields, unknown.tolist(), strict=True):
         if count:
-            found.setdefault(f"measures {agent}.{name}", Undefined(count, len(hypotheses)))
+            notes.setdefault(f"measures {agent}.{name}", Undefined(count, len(hypotheses)))
     if measured.errors is None:
         return
     without = (~np.isfinite(measured.errors.log_density(states, np.zeros_like(values)))).sum(axis=0)
     for name, count in zip(measured.fields, without.tolist(), strict=True):
         if count:
-            found.setdefault(f"sd {agent}.{name}", Undefined(count, len(hypotheses)))
+            notes.setdefault(f"sd {agent}.{name}", Undefined(count, len(hypotheses)))
 
 
 def _log_constants(plan: Plan, constants: Mapping[str, float], present: set[str]) -> dict[str, float]:
@@ -200,27 +202,27 @@ class Joined:
 
 def join_messages(
     plan: Plan,
-    said: Mapping[str, Floats],
+    sent: Mapping[str, Floats],
     measured: Mapping[str, Measurement | None],
     latent: Mapping[str, Hypotheses],
     hypotheses: Hypotheses,
     prior_log: Floats,
 ) -> Joined:
-    """Every inference node's message from what agents and factors `said` and agents measured, children first.
+    """Every inference node's message from what agents and factors `sent` and agents measured, children first.
 
     Missing children, and agents that measured nothing, are left out, a pool's weights scaled to sum to 1 over
     those present.
     """
     if not measured and not latent:
-        return Joined(join_plain(plan, said, (len(hypotheses),)), {}, None)
-    messages = dict(said)
+        return Joined(join_plain(plan, sent, (len(hypotheses),)), {}, None)
+    messages = dict(sent)
     gaussians = {agent: own for agent, own in measured.items() if own is not None}
     # What of a source's message is not in its Gaussian: all, nothing, or what a latent node's is scaled by.
     rests: dict[str, Floats | float] = {
-        agent: 0.0 if agent in gaussians else message for agent, message in said.items()
+        agent: 0.0 if agent in gaussians else message for agent, message in sent.items()
     }
     # node -> the exponents, in its message, of agents and latent nodes below: products and pools are linear.
-    powers = {agent: {agent: 1.0} for agent in said if agent not in measured or agent in gaussians}
+    powers = {agent: {agent: 1.0} for agent in sent if agent not in measured or agent in gaussians}
     for fusion in plan.fusions:
         weights = fusion.weights(powers)
         if not weights:
@@ -228,26 +230,28 @@ def join_messages(
         total, terms = _fused(weights, messages, powers, len(hypotheses))
         if fusion.kind == "latent":
             assert fusion.given is not None
-            above, own = _above(plan, fusion.node, latent, hypotheses), latent[fusion.node]
+            parents, own = _above(plan, fusion.node, latent, hypotheses), latent[fusion.node]
             if fusion.own == "gaussian":
                 exact = {
                     source: (gaussians[source], terms[source]) for source in terms if source in gaussians
                 }
-                rest = None if len(exact) == len(terms) else _rest(terms, rests, len(own))
-                matched = latent_gaussian(fusion.written or fusion.given, above, own, prior_log, exact, rest)
-                total, scale = _scale(matched, above, prior_log, total)
+                sampled = None if len(exact) == len(terms) else _rest(terms, rests, len(own))
+                matched = latent_gaussian(
+                    fusion.written or fusion.given, parents, own, prior_log, exact, sampled
+                )
+                total, scale = _scale(matched, parents, prior_log, total)
                 rests[fusion.node] = scale
                 if matched is not None:
                     view = plan.view(_source(plan, fusion.node))
                     gaussians[fusion.node] = matched if view is None else through(view, matched)
             elif fusion.written is not None:
                 if fusion.own == "kernel":
-                    log_kernel = log_given(fusion.written, above.boxes, own.boxes)
+                    log_kernel = log_given(fusion.written, parents.boxes, own.boxes)
                     total = sum_kernel(log_kernel, prior_log, total)
                 rests[fusion.node] = total
             else:
-                around = Hypotheses(part_boxes(fusion.given, above.boxes), above.fields)
-                total = INTEGRALS[fusion.own](fusion.given, around, own, prior_log, total)
+                means = Hypotheses(part_boxes(fusion.given, parents.boxes), parents.fields)
+                total = INTEGRALS[fusion.own](fusion.given, means, own, prior_log, total)
                 rests[fusion.node] = total
             terms = {fusion.node: 1.0}
         messages[fusion.node], powers[fusion.node] = total, terms
@@ -273,12 +277,12 @@ def _fused(
     return total, terms
 
 
-def join_plain(plan: Plan, said: Mapping[str, Floats], shape: tuple[int, ...]) -> dict[str, Floats]:
+def join_plain(plan: Plan, sent: Mapping[str, Floats], shape: tuple[int, ...]) -> dict[str, Floats]:
     """As `join_messages` where nothing was measured and no node is latent: products and pools only.
 
     Messages of T targets with one plan may come in one array (T, N), which is their `shape` then.
     """
-    messages = dict(said)
+    messages = dict(sent)
     for fusion in plan.fusions:
         weights = fusion.weights(messages)
         if weights:
@@ -294,31 +298,31 @@ def without(
 ) -> Mapping[str, Floats]:
     """The messages of all nodes had `agent` been switched off; the root's own included (if any is left)."""
     agents = {step.agent for step in plan.observations} - {agent}
-    said = {name: message for name, message in evidence.messages.items() if name in agents}
-    said |= evidence.factors
+    sent = {name: message for name, message in evidence.messages.items() if name in agents}
+    sent |= evidence.factors
     if not evidence.latent:
-        silent = {name for name, own in evidence.measured.items() if own is None}
-        seeing = {name: message for name, message in said.items() if name not in silent}
+        silent = {name for name, measurement in evidence.measured.items() if measurement is None}
+        seeing = {name: message for name, message in sent.items() if name not in silent}
         return join_plain(plan, seeing, (len(prior_log),))
-    measured = {name: own for name, own in evidence.measured.items() if name in agents}
-    return join_messages(plan, said, measured, evidence.latent, hypotheses, prior_log).messages
+    measured = {name: measurement for name, measurement in evidence.measured.items() if name in agents}
+    return join_messages(plan, sent, measured, evidence.latent, hypotheses, prior_log).messages
 
 
 def _scale(
-    matched: Measurement | None, above: Hypotheses, prior_log: Floats, total: Floats
+    matched: Measurement | None, parents: Hypotheses, prior_log: Floats, total: Floats
 ) -> tuple[Floats, float]:
     """(N,) a latent node's Gaussian message, and what scales it so that its evidence is that of the draws."""
-    shape = np.zeros(len(total)) if matched is None else measurement_message(matched, above)
+    shape = np.zeros(len(total)) if matched is None else measurement_message(matched, parents)
     scale = _log_sum(prior_log + total) - _log_sum(prior_log + shape)
     return shape + scale, scale
 
 
 def _rest(terms: Mapping[str, float], rests: Mapping[str, Floats | float], size: int) -> Floats:
     """(size,) the product of `terms` without their Gaussians."""
-    rest = np.zeros(size)
+    product = np.zeros(size)
     for source, power in terms.items():
-        rest = rest + power * rests[source]
-    return rest
+        product = product + power * rests[source]
+    return product
 
 
 def _log_sum(log: Floats) -> float:
@@ -344,39 +348,39 @@ def _draw_latent(
     if views is None:
         frame = observer.cache.frames.current
         views = {view.node: view.project(hypotheses, frame) for view in plan.views}
-    at = {plan.root: hypotheses, **views}
+    hypotheses_of = {plan.root: hypotheses, **views}
     number = next(observer.passes)
-    again = "" if number == 0 else f" {number}"
+    suffix = "" if number == 0 else f" {number}"
     for step in plan.draws:
-        above = at[step.given_from]
-        rng = observer.stream(f"latent {step.node}{again}")
+        parents = hypotheses_of[step.given_from]
+        rng = observer.stream(f"latent {step.node}{suffix}")
         if step.written is not None:
             flawed: dict[str, Undefined] = {}
-            own = draw_given(step.written, above.boxes, rng, flawed)
-            at[step.node] = Hypotheses(own, above.fields)
-            for name, one in flawed.items():
-                observer.factors.undefined.setdefault(f"given {step.node}.{name}", one)
+            drawn_boxes = draw_given(step.written, parents.boxes, rng, flawed)
+            hypotheses_of[step.node] = Hypotheses(drawn_boxes, parents.fields)
+            for name, flaw in flawed.items():
+                observer.factors.undefined.setdefault(f"given {step.node}.{name}", flaw)
             continue
-        around = part_boxes(step.given, above.boxes)
+        means = part_boxes(step.given, parents.boxes)
         if step.moves:
-            boxes = _deviating_boxes(step.node, around, hypotheses.fields)
+            boxes = _deviating_boxes(step.node, means, hypotheses.fields)
         else:
-            boxes = sample_noise(step.given, around, rng)
-        at[step.node] = Hypotheses(boxes, above.fields)
-    return {**views, **{step.node: at[step.node] for step in plan.draws}}
+            boxes = sample_noise(step.given, means, rng)
+        hypotheses_of[step.node] = Hypotheses(boxes, parents.fields)
+    return {**views, **{step.node: hypotheses_of[step.node] for step in plan.draws}}
 
 
 def _deviating_boxes(node: str, places: Floats, fields: Mapping[str, Floats]) -> Floats:
     """(N, 4) boxes of a node that moves, from its places (N, 4) and the deviations in fields of the state."""
     boxes = places.copy()
     for column, axis in enumerate(BOX_FIELDS):
-        own = fields.get(field_of(node, axis))
-        if own is not None:
-            boxes[:, column] += own
+        deviations = fields.get(field_of(node, axis))
+        if deviations is not None:
+            boxes[:, column] += deviations
     np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
     return boxes
 
 
-def _region(at: Mapping[str, Hypotheses]) -> Region:
+def _region(hypotheses_of: Mapping[str, Hypotheses]) -> Region:
     """The smallest region that holds every hypothesis of every node."""
-    return reduce(Region.union, (region_of_boxes(hypotheses.boxes) for hypotheses in at.values()))
+    return reduce(Region.union, (region_of_boxes(hypotheses.boxes) for hypotheses in hypotheses_of.values()))

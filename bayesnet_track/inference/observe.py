@@ -138,17 +138,17 @@ def ask_agents(question: Question, observer: Observer, steps: Sequence[Observe])
 
 def known_answers(steps: Iterable[Observe], observer: Observer) -> dict[Observe, Answer]:
     """The answers of the agents of `steps` that are not asked (again)."""
-    return {step: known[0] for step in steps if (known := find_known_answer(step, observer))}
+    return {step: answers[0] for step in steps if (answers := find_known_answer(step, observer))}
 
 
 def ask_each(
     question: Question, observer: Observer, steps: Sequence[Observe]
 ) -> Iterator[tuple[Observe, Answer]]:
     """Each of `steps` with its agent's answer, found as the pairs are collected (`each_at_once`)."""
-    ahead, here = partial(ask_ahead, question, observer), partial(observe, question, observer)
-    asked = [step for step in steps if question.is_seen(observer, step)]
-    unseen: list[tuple[Observe, Answer]] = [(step, None) for step in steps if step not in asked]
-    return chain(unseen, each_at_once(ahead, here, asked))
+    ask, work = partial(ask_ahead, question, observer), partial(observe, question, observer)
+    seen_steps = [step for step in steps if question.is_seen(observer, step)]
+    unseen: list[tuple[Observe, Answer]] = [(step, None) for step in steps if step not in seen_steps]
+    return chain(unseen, each_at_once(ask, work, seen_steps))
 
 
 def find_known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None:
@@ -172,22 +172,22 @@ def observe(question: Question, observer: Observer, step: Observe) -> Answer:
     """
     agent, part = step.agent, "planes"
     cue: Any = observer.cues[agent]
-    given = question.at[step.at]
-    started = observer.clock()
+    hypotheses = question.at[step.at]
+    start = observer.clock()
     try:
         planes = question.planes(observer, step)
-        started, part = _charge(observer, part, started), agent
+        start, part = _charge(observer, part, start), agent
         reference = observer.references[agent]
         if step.measures:
             weights = np.exp(question.prior_log)
-            measured = cue.measure(planes, given.copied(), weights, shown(reference))
-            return _check_measurement(measured, _known(step, given))
-        values, faults = score(cue, [planes], given, np.array([0, len(given)]), [reference])
+            measured = cue.measure(planes, hypotheses.copied(), weights, shown(reference))
+            return _check_measurement(measured, _known(step, hypotheses))
+        values, faults = score(cue, [planes], hypotheses, np.array([0, len(hypotheses)]), [reference])
         return faults.get(0, values)
     except FAULTS as error:  # a cue is a guest's code: whatever it raises must not end the run
         return fault_of(error)
     finally:
-        _charge(observer, part, started)
+        _charge(observer, part, start)
 
 
 def ask_ahead(question: Question, observer: Observer, step: Observe) -> Wait[Answer] | None:
@@ -195,31 +195,33 @@ def ask_ahead(question: Question, observer: Observer, step: Observe) -> Wait[Ans
     cue: Any = observer.cues[step.agent]
     if not is_elsewhere(cue):
         return None
-    started, own = observer.clock(), question.at[step.at]
+    start, hypotheses = observer.clock(), question.at[step.at]
 
     def ask() -> Wait[Any]:
         planes = question.planes(observer, step)
         reference = shown(observer.references[step.agent])
         if step.measures:
             weights = np.exp(question.prior_log)
-            wait: Wait[Any] = cue.ask_ahead("measure", planes, own, weights, reference)
+            wait: Wait[Any] = cue.ask_ahead("measure", planes, hypotheses, weights, reference)
         else:
-            wait = cue.ask_ahead("log_likelihood", planes, own, reference)
+            wait = cue.ask_ahead("log_likelihood", planes, hypotheses, reference)
         return wait
 
-    return partial(_collect, step, observer, own, defer_faults(ask, FAULTS), started)
+    return partial(_collect, step, observer, hypotheses, defer_faults(ask, FAULTS), start)
 
 
-def _collect(step: Observe, observer: Observer, own: Hypotheses, wait: Wait[Any], started: float) -> Answer:
+def _collect(
+    step: Observe, observer: Observer, hypotheses: Hypotheses, wait: Wait[Any], start: float
+) -> Answer:
     try:
         answer = wait()
         if step.measures:
-            return _check_measurement(answer, _known(step, own))
-        return check_log_likelihood(real_numbers(answer), len(own))
+            return _check_measurement(answer, _known(step, hypotheses))
+        return check_log_likelihood(real_numbers(answer), len(hypotheses))
     except FAULTS as error:
         return fault_of(error)
     finally:
-        _charge(observer, step.agent, started)
+        _charge(observer, step.agent, start)
 
 
 def remember(step: Observe, answer: Answer, observer: Observer) -> None:
@@ -238,11 +240,11 @@ def remember(step: Observe, answer: Answer, observer: Observer) -> None:
         observer.measured.setdefault((step.agent, step.at), answer)
 
 
-def _charge(observer: Observer, part: str, started: float) -> float:
-    now = observer.clock()
+def _charge(observer: Observer, part: str, start: float) -> float:
+    end = observer.clock()
     with CHARGING:
-        observer.seconds[part] = observer.seconds.get(part, 0.0) + now - started
-    return now
+        observer.seconds[part] = observer.seconds.get(part, 0.0) + end - start
+    return end
 
 
 def _known(step: Observe, hypotheses: Hypotheses) -> tuple[str, ...]:
@@ -251,7 +253,7 @@ def _known(step: Observe, hypotheses: Hypotheses) -> tuple[str, ...]:
     return (*BOX_FIELDS, *hypotheses.fields, *functions)
 
 
-def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | str | None:
+def _check_measurement(measured: Any, names: tuple[str, ...]) -> Measurement | str | None:
     if measured is None:
         return None
     is_measurement = isinstance(measured, Measurement)
@@ -259,9 +261,9 @@ def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | s
     if foreign:
         return f"returned a {foreign}, not a Measurement of real numbers or None"
     fields = tuple(measured.fields)
-    unknown = [str(name) for name in fields if name not in known]
+    unknown = [str(name) for name in fields if name not in names]
     if unknown or not fields:
-        return f"measured {', '.join(unknown) or 'nothing'}; the hypotheses have {', '.join(known)}"
+        return f"measured {', '.join(unknown) or 'nothing'}; the hypotheses have {', '.join(names)}"
     if len(set(fields)) < len(fields):
         return f"measured a field twice: {', '.join(fields)}"
     size = len(fields)
@@ -275,12 +277,12 @@ def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | s
     confidence = None if measured.confidence is None else float(measured.confidence)
     if confidence is not None and not 0.0 <= confidence <= 1.0:
         return f"measured with a confidence of {confidence:.6g}, not in 0..1"
-    choices = _check_choices(measured, known)
+    choices = _check_choices(measured, names)
     if isinstance(choices, str):
         return choices
     label = measured.label
-    if label is not None and label.category not in known:
-        return f"measured a label of {label.category}; the hypotheses have {', '.join(known)}"
+    if label is not None and label.category not in names:
+        return f"measured a label of {label.category}; the hypotheses have {', '.join(names)}"
     checked = Measurement(fields, mean, covariance, float(measured.floor), choices, confidence, label=label)
     return _check_covariance(checked) or checked
 
@@ -288,31 +290,31 @@ def _check_measurement(measured: Any, known: tuple[str, ...]) -> Measurement | s
 def _check_covariance(measured: Measurement) -> str | None:
     covariance, variances = measured.covariance, measured.variances
     if variances is not None:  # independent errors need no solver
-        least = min(variances)
+        smallest = min(variances)
     else:
-        away = abs(covariance - covariance.T)
-        is_symmetric = bool((away <= 1e-8 + 1e-5 * abs(covariance)).all())
+        asymmetry = abs(covariance - covariance.T)
+        is_symmetric = bool((asymmetry <= 1e-8 + 1e-5 * abs(covariance)).all())
         try:
-            least = float(np.linalg.cholesky(covariance).diagonal().min()) ** 2 if is_symmetric else 0.0
+            smallest = float(np.linalg.cholesky(covariance).diagonal().min()) ** 2 if is_symmetric else 0.0
         except np.linalg.LinAlgError:
-            least = 0.0
-    if not least > 0.0:
+            smallest = 0.0
+    if not smallest > 0.0:
         return "measured a covariance that is not symmetric and positive definite"
-    invertible = math.isfinite(1.0 / least)
+    invertible = math.isfinite(1.0 / smallest)
     return None if invertible else "measured a covariance too small to be inverted"
 
 
 def _check_choices(
-    measured: Measurement, known: tuple[str, ...]
+    measured: Measurement, names: tuple[str, ...]
 ) -> tuple[tuple[float, Measurement], ...] | str:
     checked: list[tuple[float, Measurement]] = []
-    for weight, one in measured.choices:
-        own = _check_measurement(one, known)
-        if isinstance(own, str):
-            return own
-        if own is None or own.choices or own.fields != tuple(measured.fields):
+    for weight, choice in measured.choices:
+        measurement = _check_measurement(choice, names)
+        if isinstance(measurement, str):
+            return measurement
+        if measurement is None or measurement.choices or measurement.fields != tuple(measured.fields):
             return "measured choices that are no measurements of the same fields"
-        checked.append((float(weight), own))
+        checked.append((float(weight), measurement))
     weights = [weight for weight, _ in checked]
     if not all(0.0 <= weight <= 1.0 for weight in weights) or sum(weights) > 1.0 + 1e-9:
         return f"measured choices with probabilities that sum to {sum(weights):.6g}"

@@ -41,42 +41,46 @@ def part_matrix(given: Given) -> Floats | None:
     """
     if not given.is_part:
         return None
-    at, size = given.offset_box, given.size_box
+    offset, size = given.offset_box, given.size_box
     matrix = np.eye(4)
-    if at is not None:
-        matrix[0, 2], matrix[1, 3] = at.x, at.y
+    if offset is not None:
+        matrix[0, 2], matrix[1, 3] = offset.x, offset.y
     if size is not None:
         matrix[2, 2], matrix[3, 3] = size.w, size.h
     return matrix
 
 
-def part_boxes(given: Given, above: Floats) -> Floats:
+def part_boxes(given: Given, parents: Floats) -> Floats:
     """(N, 4) mean boxes of a part in its parent's boxes (N, 4), sizes at least 1 px.
 
     What is no part has the parent's boxes themselves.
     """
     matrix = part_matrix(given)
     if matrix is None:
-        return above
-    boxes = above @ matrix.T
+        return parents
+    boxes = parents @ matrix.T
     np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
     return boxes
 
 
 def nominal_boxes(target: CheckedTarget, box: Floats) -> dict[str, Floats]:
     """Part -> its mean box (4,) for a target in the centre box (4,)."""
-    at: dict[str | None, Floats] = {None: box}
-    found: dict[str, Floats] = {}
+    boxes_of: dict[str | None, Floats] = {None: box}
+    parts: dict[str, Floats] = {}
     for name in target.order:
         if name not in target.children:
             continue
-        at[name] = at[target.parent[name]]
+        boxes_of[name] = boxes_of[target.parent[name]]
         fuse = target.inference(name).fuse
         if fuse is not None and fuse.latent is not None and fuse.latent.given.is_part:
-            around, written = at[name][None], target.givens.get(name)
-            boxes = part_boxes(fuse.latent.given, around) if written is None else usual_boxes(written, around)
-            found[name] = at[name] = boxes[0]
-    return found
+            parent_boxes, written = boxes_of[name][None], target.givens.get(name)
+            boxes = (
+                part_boxes(fuse.latent.given, parent_boxes)
+                if written is None
+                else usual_boxes(written, parent_boxes)
+            )
+            parts[name] = boxes_of[name] = boxes[0]
+    return parts
 
 
 def part_of_agents(target: CheckedTarget) -> dict[str, str]:
@@ -121,37 +125,37 @@ def part_beliefs(plan: Plan, evidence: Evidence, posterior: LogWeights) -> dict[
     Where no draw of a part is left a weight, its draws have the root's.
     """
     fusions = {fusion.node: fusion for fusion in plan.fusions}
-    further: dict[str, Floats | float] = {}
-    found: dict[str, PartBelief] = {}
+    log_ratios: dict[str, Floats | float] = {}
+    beliefs: dict[str, PartBelief] = {}
     for step in plan.draws:
-        above = 0.0 if step.node == plan.root else further.get(step.given_from, 0.0)
-        further[step.node] = above + _quotient(plan, fusions.get(step.node), evidence)
+        inherited = 0.0 if step.node == plan.root else log_ratios.get(step.given_from, 0.0)
+        log_ratios[step.node] = inherited + _quotient(plan, fusions.get(step.node), evidence)
         if step.given.is_part:
-            found[step.node] = PartBelief(
-                evidence.latent[step.node].boxes, _weigh(posterior, further[step.node])
+            beliefs[step.node] = PartBelief(
+                evidence.latent[step.node].boxes, _weigh(posterior, log_ratios[step.node])
             )
-    return found
+    return beliefs
 
 
 def _quotient(plan: Plan, fusion: Fusion | None, evidence: Evidence) -> Floats | float:
     """(N,) log L(c_i) / m(h_i) of a latent node; 0 where they are the same, or it has heard nothing."""
     if fusion is None or fusion.own == "one":
         return 0.0
-    said: Mapping[str, Floats] = evidence.messages
-    sent = evidence.log_likelihood if fusion.node == plan.root else said.get(fusion.node)
+    messages: Mapping[str, Floats] = evidence.messages
+    sent = evidence.log_likelihood if fusion.node == plan.root else messages.get(fusion.node)
     if sent is None:
         return 0.0
-    received = sum((said[child] for child in fusion.children if child in said), np.zeros(len(sent)))
+    received = sum((messages[child] for child in fusion.children if child in messages), np.zeros(len(sent)))
     received += sum(evidence.factors.get(factor, 0.0) for factor in fusion.factors)
     # A hypothesis whose message is nothing has no weight, whatever its draw.
     return np.where(sent > -np.inf, received - np.where(sent > -np.inf, sent, 0.0), -np.inf)
 
 
-def _weigh(posterior: LogWeights, further: Floats | float) -> LogWeights:
-    if isinstance(further, float):
+def _weigh(posterior: LogWeights, log_ratios: Floats | float) -> LogWeights:
+    if isinstance(log_ratios, float):
         return posterior
     try:
-        return posterior.times(further)[0]
+        return posterior.times(log_ratios)[0]
     except DegenerateWeights:
         return posterior
 
