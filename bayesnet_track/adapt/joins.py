@@ -93,6 +93,7 @@ class JoinMemory:
         centres: carrier -> (2,) mean centre by its own evidence.
         hidden: hidden target -> who hides it, and since which frame.
         carriers: carried target -> who carries it, and since which frame.
+        crosses: two targets with Gaussian beliefs that factors relate -> (D, D') covariance of their states.
     """
 
     pairs: Mapping[Pair, PairMemory] = field(default_factory=dict)
@@ -101,6 +102,7 @@ class JoinMemory:
     centres: Mapping[str, Floats] = field(default_factory=dict)
     hidden: Mapping[str, tuple[str, int]] = field(default_factory=dict)
     carriers: Mapping[str, tuple[str, int]] = field(default_factory=dict)
+    crosses: Mapping[Pair, Floats] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +212,7 @@ def _prune(memory: JoinMemory, live: frozenset[str]) -> JoinMemory:
         centres=dict(_of(memory.centres, joined)),
         hidden=dict(_of(memory.hidden, joined)),
         carriers=dict(_of(memory.carriers, joined)),
+        crosses={pair: memory.crosses[pair] for pair in memory.crosses if joined.issuperset(pair)},
     )
 
 

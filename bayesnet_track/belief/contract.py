@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.graph import spec
+from bayesnet_track.graph.expressions.distributions import LinearNormal
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import nearest_probable
@@ -62,7 +63,9 @@ class Evidence:
         gaussians: agent that measured, or latent node with a Gaussian belief -> its message as it reaches the
             root: its covariance divided by its weight in the pools on the way. Only where every node on the
             way multiplies messages.
-        sampled: (N,) the net's log-likelihood without `gaussians`; None when there are none.
+        linear: factor of the root that is a product of normal densities of linear forms -> these. Only where
+            the root's belief is a Gaussian without modes, which takes them exactly.
+        sampled: (N,) the net's log-likelihood without `gaussians` and `linear`; None when there are none.
         measured: agent that measures -> what it measured; None when it saw nothing and is left out.
         factors: factor -> (N,) its log density at the node that it weighs.
         log_constants: agent that measured -> what the net's log-likelihood lacks, by it, to be the log
@@ -78,6 +81,7 @@ class Evidence:
     measured: Mapping[str, Measurement | None] = field(default_factory=dict)
     factors: Mapping[str, Floats] = field(default_factory=dict)
     log_constants: Mapping[str, float] = field(default_factory=dict)
+    linear: Mapping[str, tuple[LinearNormal, ...]] = field(default_factory=dict)
 
 
 Evaluate = Callable[[Hypotheses, Floats], Evidence]

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.gaussian.belief import GaussianPosterior, predict, unscented_cross
-from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior, cross_covariance, predict
 from bayesnet_track.belief.motion.jumps import jumping_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.graph import spec
@@ -168,17 +167,11 @@ def smooth_gaussians(
             continue
         following = smoothed[-1]
         mean, covariance = predict(belief.mean, belief.covariance, move.motion, move.dt, settings)
-        gain = _cross(belief, move, settings) @ np.linalg.pinv(covariance, rcond=1e-12, hermitian=True)
+        gain = cross_covariance(belief, move.motion, move.dt, settings) @ np.linalg.pinv(
+            covariance, rcond=1e-12, hermitian=True
+        )
         smoothed_mean = belief.mean + gain @ (following.mean - mean)
         smoothed_mean[2:4] = np.maximum(smoothed_mean[2:4], 1.0)
         spread = symmetric(belief.covariance + gain @ (following.covariance - covariance) @ gain.T)
         smoothed.append(replace(belief, mean=smoothed_mean, covariance=spread))
     return smoothed[::-1]
-
-
-def _cross(belief: GaussianPosterior, move: Move, settings: spec.Gaussian) -> Floats:
-    """(D, D) covariance of the state with the one that it moves to."""
-    free: MotionModel = move.motion.motion if isinstance(move.motion, Confined) else move.motion
-    if settings.filter == "unscented":
-        return unscented_cross(belief.mean, belief.covariance, free, move.dt, settings.sigma)
-    return np.asarray(belief.covariance @ free.linearise(belief.mean, move.dt)[0].T)

@@ -21,6 +21,7 @@ from bayesnet_track.adapt.joins import (
     spanning_tree,
 )
 from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.modes import FIELD
 from bayesnet_track.belief.particles.belief import reweight_step
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, report_carried, without_ride
@@ -29,6 +30,9 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.occlusion import is_degenerate, levels_after, levels_of, report_hidden
 from bayesnet_track.engine.rows.filtered_rows import Together
 from bayesnet_track.engine.rows.on_others import logs_on
+from bayesnet_track.engine.stacked import relate_gaussians
+from bayesnet_track.graph.expressions.distributions import LinearNormal, linear_normals_of
+from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.settings.lifecycle import Join
 from bayesnet_track.inference.factors import PairFlaw, log_prior_factor, log_seen, pair_factor
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
@@ -68,6 +72,7 @@ class _Tree:
         edges: the tree's.
         closing: those that are left out.
         flaws: pair with a factor -> what is wrong with it, once the joint belief is computed.
+        gaussian: pairs of Gaussian beliefs, which are related by one Gaussian of all, rings included.
     """
 
     pairs: Mapping[Pair, PairMemory]
@@ -75,6 +80,7 @@ class _Tree:
     edges: tuple[Edge, ...]
     closing: tuple[Edge, ...]
     flaws: Mapping[Pair, PairFlaw] = field(default_factory=dict)
+    gaussian: Sequence[Pair] = ()
 
 
 def join_targets(work: FrameContext, memory: JoinMemory, filtered: Together) -> JointBelief:
@@ -85,12 +91,14 @@ def join_targets(work: FrameContext, memory: JoinMemory, filtered: Together) -> 
     levels, seen = levels_of(memory.levels, filtered)
     tree = _tree(work, memory, filtered)
     marginals, orders = _marginals(work, tree, levels, filtered)
+    stacked, crosses = relate_gaussians(work, _linear_factors(work, tree), memory.crosses, filtered)
     pairs, events = _update_pairs(work.frame.index, tree, orders)
     carriers = carriers_of(work, memory)
     steps, metrics, carried = _split_joint(carriers, marginals, pairs, filtered)
+    steps |= stacked
     centres = {carrier: filtered[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()}
     levels = levels_after(memory.levels, seen, metrics, filtered)
-    after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres)
+    after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres, crosses=crosses)
     after = report_hidden(work.frame.index, metrics, after, events)
     after = report_carried(work.frame.index, metrics, carriers, after, events)
     work.charge("joins", started)
@@ -123,7 +131,16 @@ def _tree(work: FrameContext, memory: JoinMemory, of: Together) -> _Tree:
     for pair in work.net.joins:
         known = memory.pairs.get(pair, PairMemory())
         pairs[pair] = evolve(known, first_in_front=_predict_order(known, rules[pair]))
-    sharing = {pair: one.overlap for pair, one in pairs.items() if rules[pair].reweights}
+    gaussian = [
+        pair
+        for pair in pairs
+        if of.row(pair[0]) is None and isinstance(of[pair[0]].step.posterior, GaussianPosterior)
+    ]
+    sharing = {
+        pair: memory_of_pair.overlap
+        for pair, memory_of_pair in pairs.items()
+        if rules[pair].reweights and pair not in gaussian
+    }
     tree, left_out = spanning_tree(sharing)
     flaws = {pair: PairFlaw() for pair in pairs if rules[pair].factor is not None}
     edges, closing = (
@@ -136,12 +153,24 @@ def _tree(work: FrameContext, memory: JoinMemory, of: Together) -> _Tree:
                 pair_factor(rules[pair], _constants(work, pair), work.inputs, flaws.get(pair)),
             )
             for pair in chosen
-            if (pairs[pair].overlap > 0 or rules[pair].factor is not None)
+            if pair not in gaussian
+            and (pairs[pair].overlap > 0 or rules[pair].factor is not None)
             and not any(is_degenerate(of, name) for name in pair)
         )
         for chosen in (tree, left_out)
     )
-    return _Tree(pairs, left_out, edges, closing, flaws)
+    return _Tree(pairs, left_out, edges, closing, flaws, gaussian)
+
+
+def _linear_factors(work: FrameContext, tree: _Tree) -> dict[Pair, tuple[LinearNormal, ...]]:
+    """The densities of Gaussian pairs; none of a pair whose factor has no value in the frame."""
+    factors: dict[Pair, tuple[LinearNormal, ...]] = {}
+    for pair in tree.gaussian:
+        rule = work.engine.joins[work.net.joins[pair].rule]
+        normals = linear_normals_of(parse(rule.factor or ""), {**work.inputs, **_constants(work, pair)})
+        tree.flaws[pair].ignored = normals is None
+        factors[pair] = normals or ()
+    return factors
 
 
 def _constants(work: FrameContext, pair: Pair) -> Mapping[str, float]:

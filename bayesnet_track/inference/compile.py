@@ -248,7 +248,13 @@ def _weigh(target: CheckedTarget, name: str, factor: Factor) -> Weigh:
         is_prior = is_prior and not is_latent(target, node)
         node = target.parent[node]
     given_from = weighed if parent is None else _hypotheses_of(target, parent)
-    return Weigh(name, weighed, given_from, factor.term, factor.constants, is_prior, factor.mask)
+    root = target.inference(target.root)
+    takes_linear = root.belief is not None and root.belief.gaussian is not None
+    takes_linear = takes_linear and root.modes is None and root.category is None
+    may_be_exact = takes_linear and factor.parent == target.root
+    return Weigh(
+        name, weighed, given_from, factor.term, factor.constants, is_prior, factor.mask, may_be_exact
+    )
 
 
 def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str], measuring: Container[str]) -> Fusion:

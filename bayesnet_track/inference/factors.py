@@ -17,9 +17,11 @@ from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.belief.motion.modes import FIELD
 from bayesnet_track.graph.checked import PAST, Conditional, MeasuredAs
 from bayesnet_track.graph.expressions.distributions import (
+    LinearNormal,
     Names,
     distribution_of,
     draw,
+    linear_normals_of,
     median,
     moments,
     parameters_of,
@@ -54,6 +56,8 @@ class Weigh:
         constants: the numbers that it uses by name.
         is_prior: it multiplies the root's prior: all nodes from it up to the root are products.
         mask: the image that the expression asks, or None.
+        may_be_exact: it stands right below a root whose Gaussian belief, without modes, takes densities of
+            linear forms as they are.
     """
 
     factor: str
@@ -63,6 +67,7 @@ class Weigh:
     constants: Mapping[str, float]
     is_prior: bool
     mask: Mask | None = None
+    may_be_exact: bool = False
 
 
 @dataclass(frozen=True)
@@ -121,6 +126,23 @@ def weigh(
         return None
     factors.used.add(step.factor)
     return log
+
+
+def linear_factors(
+    steps: Sequence[Weigh], logs: Mapping[str, Floats], hypotheses: Hypotheses, frame: Mapping[str, float]
+) -> dict[str, tuple[LinearNormal, ...]]:
+    """Factor -> the normal densities of linear forms of the state whose product it is, where it is one.
+
+    Of those that the belief takes exactly, and that have a value in the frame, among `logs`.
+    """
+    densities = {}
+    for step in steps:
+        if step.may_be_exact and step.factor in logs:
+            normals = linear_normals_of(step.term, {**frame, **step.constants})
+            state = {*BOX_FIELDS, *hypotheses.fields}
+            if normals is not None and all(state.issuperset(normal.form.factors) for normal in normals):
+                densities[step.factor] = normals
+    return densities
 
 
 def log_prior_factor(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:

@@ -16,7 +16,14 @@ from bayesnet_track.belief.motion.noise import sample_noise
 from bayesnet_track.graph.spec import Noise
 from bayesnet_track.inference.asking import Missing
 from bayesnet_track.inference.compile import Observe, Plan
-from bayesnet_track.inference.factors import at_prediction, draw_given, log_given, read_as, weigh
+from bayesnet_track.inference.factors import (
+    at_prediction,
+    draw_given,
+    linear_factors,
+    log_given,
+    read_as,
+    weigh,
+)
 from bayesnet_track.inference.gaussian_messages import (
     grid_message,
     kernel_message,
@@ -106,12 +113,17 @@ def evaluate(
         else:
             messages[step.agent] = answer if step.temperature == 1.0 else answer / step.temperature
     factors = _weigh_factors(plan, observer, hypotheses, hypotheses_of)
-    joined = join_messages(plan, messages | factors, measured, latent, hypotheses, prior_log)
-    total = joined.messages.pop(plan.root, np.zeros(len(hypotheses)))
+    linear = linear_factors(plan.factors, factors, hypotheses, observer.cache.frames.names)
+    sampled_factors = {name: log for name, log in factors.items() if name not in linear}
+    joined = join_messages(plan, messages | sampled_factors, measured, latent, hypotheses, prior_log)
+    total, sampled = joined.messages.pop(plan.root, np.zeros(len(hypotheses))), joined.sampled
+    if linear:
+        sampled = total if sampled is None else sampled
+        total = total + sum(factors[name] for name in linear)
     node_messages = {node: message for node, message in joined.messages.items() if node not in factors}
     present = {name for name in (*messages, *factors) if measured.get(name, ()) is not None}
     at_root = _log_constants(plan, constants, present)
-    details = (joined.gaussians, joined.sampled, measured, factors, at_root)
+    details = (joined.gaussians, sampled, measured, factors, at_root, linear)
     return Evidence(total, node_messages, latent, faults, *details)
 
 

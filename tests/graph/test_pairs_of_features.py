@@ -74,7 +74,6 @@ NO_CELLS = "modes beside a grid, which has no cells for them; allowed: particles
 ONE_WAY = "modes beside proposal: second_pass, which knows one way to move; allowed: proposal: bootstrap"
 REFUSED = {
     ("gaussian", "occlusion"): JOINED.format("gaussian"),
-    ("gaussian", "factor of two"): JOINED.format("gaussian"),
     (
         "gaussian",
         "part that moves",

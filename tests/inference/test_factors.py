@@ -184,6 +184,27 @@ def test_a_factor_pulls_every_belief(fakes, belief):
     assert mean[0] == pytest.approx(50 + 10 * 64 / (64 + 16), abs=0.5)
 
 
+@pytest.mark.parametrize("likelihood", ["samples", "sigma_points"])
+def test_a_linear_factor_is_the_kalman_update_of_a_gaussian(fakes, likelihood):
+    """Two densities in one factor, below a gate that would refuse them as measurements."""
+    belief = {"gaussian": {"gate": 0.9, "likelihood": likelihood}}
+    written = "normal(x, 0.5 * y + 60, 4) * normal(w - h, 2 * 1.5, 0.7)"
+    nodes = {"s": {"belief": belief}, "a": AGENT, "f": factor(written)}
+    free, _ = fakes.engine({"s": {"belief": belief}, "a": AGENT}, {"a": fakes.flat()})
+    engine, _ = fakes.engine(nodes, {"a": fakes.flat()})
+    predicted = fakes.play(free, 1)[-1].state.targets["1"].belief
+    outcome = fakes.play(engine, 1)[-1]
+    after = outcome.state.targets["1"].belief
+    observe = np.array([[1, -0.5, 0, 0], [0, 0, 1, -1]]) @ np.eye(4, len(after.mean))
+    noise, wanted = np.diag([16.0, 0.49]), np.array([60.0, 3.0])
+    spread = observe @ predicted.covariance @ observe.T + noise
+    gain = predicted.covariance @ observe.T @ np.linalg.inv(spread)
+    away = wanted - observe @ predicted.mean
+    np.testing.assert_allclose(after.mean, predicted.mean + gain @ away, atol=1e-9)
+    exact = predicted.covariance - gain @ observe @ predicted.covariance
+    np.testing.assert_allclose(after.covariance, exact, atol=1e-9)
+
+
 @pytest.fixture
 def ramp(tmp_path, monkeypatch):
     """A mask as wide as the fakes' frames, brighter to the right: its file and its gray values."""

@@ -22,7 +22,7 @@ from bayesnet_track.belief.contract import (
     WeightedStates,
     hypotheses_of,
 )
-from bayesnet_track.belief.gaussian.rows import stand_for_each, take_each
+from bayesnet_track.belief.gaussian.rows import stand_for_each, take_each, update_by_normals
 from bayesnet_track.belief.gaussian.update import (
     Gated,
     MeasurementUpdate,
@@ -112,6 +112,16 @@ def unscented_cross(
     offsets = sigma_points(width, scale) @ lower.T
     points = motion.drift(mean + offsets, dt)
     return np.asarray((offsets * weights[:, None]).T @ (points - points[0]))
+
+
+def cross_covariance(
+    belief: GaussianPosterior, motion: MotionModel, dt: float, settings: spec.Gaussian
+) -> Floats:
+    """(D, D) covariance of the state with the one that it moves to."""
+    free = motion.motion if isinstance(motion, Confined) else motion
+    if settings.filter == "unscented":
+        return unscented_cross(belief.mean, belief.covariance, free, dt, settings.sigma)
+    return np.asarray(belief.covariance @ free.linearise(belief.mean, dt)[0].T)
 
 
 def unscented_weights(width: int, sigma: spec.Unscented) -> tuple[float, Floats, float]:
@@ -221,7 +231,7 @@ class GaussianFilter:
     ) -> GaussianPosterior:
         """The belief after `dt` frame intervals without evidence; `rng` is not used."""
         mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)
-        return _posterior(mean, covariance, prior.fields, prior.size, motion)
+        return posterior_of(mean, covariance, prior.fields, prior.size, motion)
 
     def step(
         self, prior: GaussianPosterior, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
@@ -279,6 +289,10 @@ class GaussianFilter:
             mean, covariance, log_evidence = update(*predicted, points, sampled_of(evidence))
         except DegenerateWeights as fault:
             return *predicted, str(fault)
+        for normals in evidence.linear.values():
+            updated = update_by_normals(mean, covariance, motion.fields, normals)
+            mean, covariance = updated.mean, updated.covariance
+            log_evidence += updated.log_likelihood
         if shared := shared_columns(motion):
             mean, covariance = allow_for(shared, predicted, (mean, covariance))
         return mean, covariance, log_evidence
@@ -294,7 +308,7 @@ class GaussianFilter:
     ) -> Step[GaussianPosterior]:
         """The step of one target; `log_evidence` is that of the likelihoods, or why there is none."""
         fields = motion.fields
-        posterior = _posterior(update.mean, update.covariance, fields, len(points.states), motion)
+        posterior = posterior_of(update.mean, update.covariance, fields, len(points.states), motion)
         if isinstance(log_evidence, str):
             return evolve(_step(posterior, -np.inf, points, points.beta, evidence), degenerate=log_evidence)
         stepped = _step(
@@ -314,7 +328,7 @@ class GaussianFilter:
 
 
 def sampled_of(evidence: Evidence) -> Floats:
-    """(N,) the net's log-likelihood without Gaussian messages."""
+    """(N,) the net's log-likelihood without Gaussian messages and linear factors."""
     return evidence.log_likelihood if evidence.sampled is None else evidence.sampled
 
 
@@ -337,9 +351,10 @@ def draws_of(settings: spec.Gaussian, width: int) -> int:
     return max(settings.samples, 2 * (width + 1))
 
 
-def _posterior(
+def posterior_of(
     mean: Floats, covariance: Floats, fields: tuple[str, ...], size: int, motion: MotionModel
 ) -> GaussianPosterior:
+    """The Gaussian, its sides no shorter than the motion's least."""
     bounded = mean.copy()
     np.maximum(bounded[2:4], getattr(motion, "least_side", LEAST_SIDE_PX), out=bounded[2:4])
     return GaussianPosterior(bounded, covariance, fields, size)
@@ -361,6 +376,8 @@ def _weights(
     total, hypotheses = sampled_of(evidence), hypotheses_of(points.states, fields)
     for measurement in update.used.values():
         total = total + log_message(measurement, hypotheses, fields)
+    for factor in evidence.linear:
+        total = total + evidence.factors[factor]
     return points.beta.times(total)[0]
 
 

@@ -23,9 +23,19 @@ from bayesnet_track.belief.gaussian.update import (
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.formulas import linearise_seen
 from bayesnet_track.graph import spec
+from bayesnet_track.graph.expressions.distributions import LinearNormal
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.gaussian import chi_square_quantile, root, roots, sigma_points, symmetric
+from bayesnet_track.numerics.gaussian import (
+    Updated,
+    chi_square_quantile,
+    linear_update,
+    root,
+    roots,
+    sigma_points,
+    symmetric,
+)
 from bayesnet_track.numerics.log_weights import LogWeights
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Measurement
 
 Moments = tuple[Floats, Floats]
@@ -115,6 +125,23 @@ def _whiten_each(halves: Floats, size: int) -> Floats:
     white = halves @ np.linalg.inv(lower).swapaxes(1, 2)
     middle = (np.zeros((len(halves), 1, halves.shape[2])),) if size % 2 else ()
     return np.concatenate([white, -white, *middle], axis=1)
+
+
+def update_by_normals(
+    mean: Floats, covariance: Floats, fields: Sequence[str], normals: Sequence[LinearNormal]
+) -> Updated:
+    """The product of the Gaussian with normal densities of linear forms of the state, exact.
+
+    Its log-likelihood is the log of the product's integral.
+    """
+    observe, variances = np.zeros((len(normals), len(mean))), np.empty(len(normals))
+    for row, normal in enumerate(normals):
+        observe[row, [fields.index(name) for name in normal.form.factors]] = [*normal.form.factors.values()]
+        variances[row] = normal.sd**2
+    innovation = -np.array([normal.form.constant for normal in normals]) - observe @ mean
+    updated = linear_update(mean, covariance, innovation, observe, np.diag(variances))
+    log_peak = -0.5 * float(np.log(2.0 * np.pi * variances).sum())
+    return evolve(updated, log_likelihood=updated.log_likelihood + log_peak)
 
 
 def take_each(

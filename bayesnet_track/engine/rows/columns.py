@@ -16,7 +16,6 @@ from bayesnet_track.adapt.lifecycle import TrackRecord
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.rows.fitting import RowRule
-from bayesnet_track.engine.rows.stacks import stack
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import evolve
@@ -205,17 +204,17 @@ def make_rows(
     known = [records.get(target, unknown) for target in states]
     given = [NEVER_ASKED if one is None else GIVEN if len(one) else GIVEN_NONE for one in own]
     columns = Columns(
-        mean=stack([state.belief.mean for state in several], width),
-        covariance=stack([state.belief.covariance for state in several], width, width),
+        mean=_stack([state.belief.mean for state in several], width),
+        covariance=_stack([state.belief.covariance for state in several], width, width),
         size=np.array([len(state.belief) for state in several], dtype=np.int64),
-        own=stack([one[0, :5] if one is not None and len(one) else np.zeros(5) for one in own], 5),
-        observed=stack([observed_of(rule, state) for state in several], observed_width(rule)),
+        own=_stack([one[0, :5] if one is not None and len(one) else np.zeros(5) for one in own], 5),
+        observed=_stack([observed_of(rule, state) for state in several], observed_width(rule)),
         given=np.array(given, dtype=np.int64),
         memory=RuleMemory.join([state.memory for state in several]),
         is_lost=np.array(lost, dtype=np.bool_),
         since=np.array([one.since for one in known], dtype=np.int64),
-        known_mean=stack([one.mean for one in known], width),
-        known_covariance=stack([one.covariance for one in known], width, width),
+        known_mean=_stack([one.mean for one in known], width),
+        known_covariance=_stack([one.covariance for one in known], width, width),
         known_time=np.array([one.time for one in known], dtype=np.float64),
         lost_frames=np.array([one.lost_frames for one in known], dtype=np.int64),
         unseen_frames=np.array([one.unseen_frames for one in known], dtype=np.int64),
@@ -236,3 +235,8 @@ def observed_of(rule: RowRule, state: TargetState) -> Floats:
 def observed_width(rule: RowRule) -> int:
     """H."""
     return int(first_observed(rule.association, np.empty((0, 4)), len(rule.motion.fields)).shape[1])
+
+
+def _stack(arrays: Sequence[Floats], *shape: int) -> Floats:
+    """(T, *shape) arrays as one, also when there are none."""
+    return np.array(arrays, dtype=np.float64).reshape(len(arrays), *shape)

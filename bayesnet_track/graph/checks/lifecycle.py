@@ -8,6 +8,9 @@ from pydantic import ValidationError
 
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.plates import Check, Plate, is_seen
+from bayesnet_track.graph.expressions.distributions import linear_normals_of
+from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.terms import ExpressionError, names_in
 from bayesnet_track.graph.settings.lifecycle import Confirm, join_of
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
 from bayesnet_track.graph.text.explain import explain
@@ -261,25 +264,66 @@ def an_attachment_has_two_kinds(spec: GraphSpec, positions: Positions) -> Iterat
             yield positions.message(path, fault, "between: [carrier, carried]", on_key=True)
 
 
-def joined_beliefs_are_particles(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
-    """Targets that are joined hold their beliefs by particles: a joint belief reweights hypotheses."""
+def joined_beliefs_are_of_a_kind(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
+    """Joined targets hold hypotheses that are weighed anew, or Gaussians that linear factors relate."""
     for number, join in enumerate(spec.joins):
-        for kind in join.between or tuple(spec.targets):
-            target = spec.targets.get(kind)
-            for name, node in () if target is None else target.nodes.items():
-                if not isinstance(node, InferenceNode) or node.parent is not None or node.belief is None:
-                    continue
-                if node.belief.particles is None:
-                    fault = f"a join of {kind}, whose node {name} holds a {node.belief.kind} belief"
-                    yield positions.message(
-                        ("joins", number), fault, "kinds whose root has belief: particles"
-                    )
+        roots = {kind: node for kind in join.between or tuple(spec.targets) for node in _roots_of(spec, kind)}
+        names = {kind: node[0] for kind, node in roots.items()}
+        beliefs = {
+            kind: "particles" if node.belief is None else node.belief.kind
+            for kind, (_, node) in roots.items()
+        }
+        place: KeyPath = ("joins", number)
+        for kind in (kind for kind, belief in beliefs.items() if belief != "particles"):
+            who = f"{kind}, whose node {names[kind]}"
+            if beliefs[kind] != "gaussian" or join.factor is None:
+                fault = f"a join of {who} holds a {beliefs[kind]} belief"
+                addition = "; or gaussian beliefs and a factor of linear forms" * (
+                    beliefs[kind] == "gaussian"
+                )
+                yield positions.message(place, fault, f"kinds whose root has belief: particles{addition}")
+            elif {*beliefs.values()} != {"gaussian"}:
+                fault = f"a join of {who} holds a gaussian belief, with one that does not"
+                yield positions.message(place, fault, "one kind of belief for both")
+            elif roots[kind][1].modes is not None or roots[kind][1].category is not None:
+                state = "a category" if roots[kind][1].modes is None else "modes"
+                fault = f"a join of {who} has a gaussian belief and {state}"
+                yield positions.message(place, fault, f"belief: particles, or no {state.removeprefix('a ')}")
+
+
+def factors_of_gaussians_are_linear(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
+    """The factor of Gaussian beliefs is a product of normal densities of linear forms of both states."""
+    for number, join in enumerate(spec.joins):
+        kinds = join.between or ()
+        nodes = [node for kind in kinds for _, node in _roots_of(spec, kind)]
+        if join.factor is None or not any(node.belief and node.belief.gaussian for node in nodes):
+            continue
+        try:
+            term = parse(join.factor)
+        except ExpressionError:
+            continue  # said by the check of expressions
+        fixed = {name: 1.0 for name in names_in(term) if not name.startswith(("a.", "b."))}
+        if linear_normals_of(term, fixed) is None:
+            fault = "a factor of gaussian beliefs that is no product of normal densities of linear forms"
+            remedy = "such as normal(a.x - b.x, 40, 5) * normal(a.y - b.y, 0, 5); or belief: particles"
+            yield positions.message(("joins", number, "factor"), fault, remedy)
+
+
+def _roots_of(spec: GraphSpec, kind: str) -> list[tuple[str, InferenceNode]]:
+    target = spec.targets.get(kind)
+    nodes = {} if target is None else target.nodes
+    return [
+        (name, node)
+        for name, node in nodes.items()
+        if isinstance(node, InferenceNode) and node.parent is None
+    ]
 
 
 JOIN_CHECKS: tuple[GraphCheck, ...] = (
     joins_name_kinds,
     one_join_for_a_pair,
     an_attachment_has_two_kinds,
-    joined_beliefs_are_particles,
+    joined_beliefs_are_of_a_kind,
+    factors_of_gaussians_are_linear,
     modes_are_joined,
 )

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.graph.expressions.evaluate import values_of
+from bayesnet_track.graph.expressions.evaluate import Linear, linear_of, values_of
 from bayesnet_track.graph.expressions.terms import DRAWN, Call, Term, Variable, names_in
 from bayesnet_track.numerics.arrays import Floats
 
@@ -192,3 +193,37 @@ def period_of(term: Term, constants: Mapping[str, float]) -> float:
         value = abs(float(values_of(factor, constants)))
         return min(periods) * value if term.function == "*" else min(periods) / max(value, 1e-300)
     return math.inf
+
+
+@dataclass(frozen=True)
+class LinearNormal:
+    """A normal density of a linear form of the state, of mean 0.
+
+    Attributes:
+        form: of which it is.
+        sd: its sd, above 0.
+    """
+
+    form: Linear
+    sd: float
+
+
+def linear_normals_of(term: Term, fixed: Mapping[str, float]) -> tuple[LinearNormal, ...] | None:
+    """The normal densities of linear forms whose product a term is; None of any other.
+
+    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> linear_normals_of(parse("normal(x, 2 * y + 3, 5)"), {})
+    (LinearNormal(form=Linear(factors={'x': 1.0, 'y': -2.0}, constant=-3.0), sd=5.0),)
+    >>> linear_normals_of(parse("normal(x, 40, y)"), {}) is None
+    True
+    """
+    if not isinstance(term, Call) or term.function not in ("*", "normal"):
+        return None
+    if term.function == "*":
+        parts = [linear_normals_of(argument, fixed) for argument in term.arguments]
+        return None if any(part is None for part in parts) else sum((part or () for part in parts), ())
+    value, mean, scale = term.arguments
+    form, sd = linear_of(Call("-", (value, mean)), fixed), linear_of(scale, fixed)
+    if form is None or sd is None or sd.factors or sd.constant <= 0.0:
+        return None
+    return (LinearNormal(form, sd.constant),)

@@ -67,8 +67,9 @@ def check_kept(graph: GraphSpec) -> None:
     """Check that every belief of a graph can be kept.
 
     Raises:
-        UnkeptBeliefError: one is a Gaussian for each mode.
+        UnkeptBeliefError: one is a Gaussian for each mode, or depends on those of other targets.
     """
+    joined = {kind for join in graph.joins for kind in join.between or ()}
     for kind, plate in graph.targets.items():
         for name, agent in plate.nodes.items():
             if isinstance(agent, AgentNode) and delay_of(agent):
@@ -80,6 +81,12 @@ def check_kept(graph: GraphSpec) -> None:
         for name, node in plate.nodes.items():
             if not isinstance(node, InferenceNode) or not node.belief or not node.belief.gaussian:
                 continue
+            if kind in joined:
+                keep = setting("--keep-beliefs")
+                raise UnkeptBeliefError(
+                    f"{keep}: {kind}.{name} is Gaussian and joined with others, which is not smoothed yet; "
+                    f"allowed: belief: particles, or no {keep}"
+                )
             if node.modes or node.category:
                 keep, what = setting("--keep-beliefs"), "modes" if node.modes else "categories"
                 raise UnkeptBeliefError(
