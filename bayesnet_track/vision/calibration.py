@@ -119,7 +119,7 @@ def rectification(cameras: Cameras) -> Rectification:
             "not on its right; allowed: two cameras side by side; exchange left and right"
         )
     size = (cameras.width, cameras.height)
-    one, other, one_p, other_p, *_ = cv2.stereoRectify(
+    left_rotation, right_rotation, left_projection, right_projection, *_ = cv2.stereoRectify(
         cameras.left,
         cameras.left_distortion,
         cameras.right,
@@ -131,17 +131,17 @@ def rectification(cameras: Cameras) -> Rectification:
         alpha=0,
     )
     geometry = StereoGeometry(
-        focal_px=float(one_p[0, 0]),
-        baseline_m=float(-other_p[0, 3] / other_p[0, 0]),
-        centre_x_px=float(one_p[0, 2]),
-        centre_y_px=float(one_p[1, 2]),
-        offset_px=float(other_p[0, 2] - one_p[0, 2]),
+        focal_px=float(left_projection[0, 0]),
+        baseline_m=float(-right_projection[0, 3] / right_projection[0, 0]),
+        centre_x_px=float(left_projection[0, 2]),
+        centre_y_px=float(left_projection[1, 2]),
+        offset_px=float(right_projection[0, 2] - left_projection[0, 2]),
     )
     maps = [
         cv2.initUndistortRectifyMap(matrix, distortion, turn, projection, size, cv2.CV_16SC2)
         for matrix, distortion, turn, projection in (
-            (cameras.left, cameras.left_distortion, one, one_p),
-            (cameras.right, cameras.right_distortion, other, other_p),
+            (cameras.left, cameras.left_distortion, left_rotation, left_projection),
+            (cameras.right, cameras.right_distortion, right_rotation, right_projection),
         )
     ]
     return Rectification(*size, geometry, maps[0], maps[1])
@@ -155,11 +155,11 @@ def read_calibration(path: Path) -> Rectifier:
     """
     entries = _entries(path)
 
-    def number(name: str, least: float = -math.inf) -> float:
+    def number(name: str, minimum: float = -math.inf) -> float:
         value = entries.get(name)
-        if not isinstance(value, float) or not math.isfinite(value) or not value > least:
-            what = "a number" if least == -math.inf else f"a number above {least:g}"
-            raise _wrong(path, f"{name} is {'missing' if value is None else 'not ' + what}")
+        if not isinstance(value, float) or not math.isfinite(value) or not value > minimum:
+            expected = "a number" if minimum == -math.inf else f"a number above {minimum:g}"
+            raise _wrong(path, f"{name} is {'missing' if value is None else 'not ' + expected}")
         return value
 
     width, height = int(number("image_width", 0)), int(number("image_height", 0))
@@ -254,9 +254,9 @@ def _entries(path: Path) -> dict[str, Any]:
     return entries
 
 
-def _wrong(path: Path, found: str) -> CalibrationError:
+def _wrong(path: Path, fault: str) -> CalibrationError:
     return CalibrationError(
-        f"calibration file {str(path)!r}: {found}; allowed: {ALLOWED}; "
+        f"calibration file {str(path)!r}: {fault}; allowed: {ALLOWED}; "
         "`bayesnet-track calibrate stereo` writes one"
     )
 
@@ -308,24 +308,25 @@ def calibrate(
         )
     sizes = {picture.shape[1::-1] for picture in (*left, *right)}
     if len(sizes) > 1:
-        found = ", ".join(f"{w}x{h}" for w, h in sorted(sizes))
-        raise CalibrationError(f"pictures of several sizes ({found}); allowed: one size")
-    seen = [(find_corners(a, board), find_corners(b, board)) for a, b in zip(left, right, strict=True)]
-    used = tuple(n for n, pair in enumerate(seen) if pair[0] is not None and pair[1] is not None)
-    if len(used) < LEAST_VIEWS:
-        one, other = (sum(pair[k] is not None for pair in seen) for k in (0, 1))
+        size_list = ", ".join(f"{w}x{h}" for w, h in sorted(sizes))
+        raise CalibrationError(f"pictures of several sizes ({size_list}); allowed: one size")
+    pairs = [(find_corners(a, board), find_corners(b, board)) for a, b in zip(left, right, strict=True)]
+    complete = tuple(n for n, pair in enumerate(pairs) if pair[0] is not None and pair[1] is not None)
+    if len(complete) < LEAST_VIEWS:
+        left_count, right_count = (sum(pair[k] is not None for pair in pairs) for k in (0, 1))
         raise CalibrationError(
-            f"a board of {board[0]}x{board[1]} inner corners is whole in {len(used)} of {len(seen)} pairs "
-            f"({one} left pictures, {other} right ones); at least {LEAST_VIEWS} are needed; check "
-            f"{setting('--board', 'AxB', '(A, B)')}, which counts the corners where four squares meet"
+            f"a board of {board[0]}x{board[1]} inner corners is whole in {len(complete)} of {len(pairs)} "
+            f"pairs ({left_count} left pictures, {right_count} right ones); at least {LEAST_VIEWS} are "
+            f"needed; check {setting('--board', 'AxB', '(A, B)')}, which counts the corners where four "
+            "squares meet"
         )
     size = next(iter(sizes))
     world = np.zeros((board[0] * board[1], 3), dtype=np.float32)
     world[:, :2] = np.mgrid[: board[0], : board[1]].T.reshape(-1, 2) * square_m
-    worlds = [world] * len(used)
-    corners = [[spots for n in used if (spots := seen[n][k]) is not None] for k in (0, 1)]
-    alone: list[Any] = [cv2.calibrateCamera(worlds, points, size, None, None)[:3] for points in corners]
-    (left_rms, m1, d1), (right_rms, m2, d2) = alone
+    worlds = [world] * len(complete)
+    corners = [[spots for n in complete if (spots := pairs[n][k]) is not None] for k in (0, 1)]
+    single_fits: list[Any] = [cv2.calibrateCamera(worlds, points, size, None, None)[:3] for points in corners]
+    (left_rms, m1, d1), (right_rms, m2, d2) = single_fits
     rms, m1, d1, m2, d2, turn, shift, *_ = cv2.stereoCalibrate(
         worlds,
         corners[0],
@@ -340,7 +341,7 @@ def calibrate(
     )
     cameras = Cameras(size[0], size[1], m1, d1.ravel(), m2, d2.ravel(), turn, shift.ravel())
     epipolar = _row_difference(cameras, corners)
-    return Calibrated(cameras, float(left_rms), float(right_rms), float(rms), epipolar, used)
+    return Calibrated(cameras, float(left_rms), float(right_rms), float(rms), epipolar, complete)
 
 
 def find_corners(picture: Image, board: tuple[int, int]) -> Corners | None:
@@ -348,10 +349,10 @@ def find_corners(picture: Image, board: tuple[int, int]) -> Corners | None:
     import cv2
 
     brightness = gray(picture)
-    found, corners = cv2.findChessboardCorners(
+    is_whole, corners = cv2.findChessboardCorners(
         brightness, board, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     )
-    if not found:
+    if not is_whole:
         return None
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.01)
     return np.asarray(cv2.cornerSubPix(brightness, corners, (5, 5), (-1, -1), criteria), dtype=np.float32)
@@ -360,7 +361,7 @@ def find_corners(picture: Image, board: tuple[int, int]) -> Corners | None:
 def _row_difference(cameras: Cameras, corners: Sequence[Sequence[Corners]]) -> float:
     import cv2
 
-    one, other, one_p, other_p, *_ = cv2.stereoRectify(
+    left_rotation, right_rotation, left_projection, right_projection, *_ = cv2.stereoRectify(
         cameras.left,
         cameras.left_distortion,
         cameras.right,
@@ -372,8 +373,8 @@ def _row_difference(cameras: Cameras, corners: Sequence[Sequence[Corners]]) -> f
         alpha=0,
     )
     eyes = (
-        (cameras.left, cameras.left_distortion, one, one_p),
-        (cameras.right, cameras.right_distortion, other, other_p),
+        (cameras.left, cameras.left_distortion, left_rotation, left_projection),
+        (cameras.right, cameras.right_distortion, right_rotation, right_projection),
     )
     rows = [
         np.concatenate([cv2.undistortPoints(p, m, d, R=r, P=q).reshape(-1, 2)[:, 1] for p in points])

@@ -53,12 +53,12 @@ class LensFit:
 
 
 def fit_lens(
-    seen: Sequence[Corners], size: tuple[int, int], board: tuple[int, int], square_m: float
+    corners: Sequence[Corners], size: tuple[int, int], board: tuple[int, int], square_m: float
 ) -> LensFit:
     """Camera matrix and distortion from the corners of a board in several views (cv2.calibrateCamera).
 
     Args:
-        seen: corners of each view in which the board is whole, as of `find_corners`.
+        corners: those of each view in which the board is whole, as of `find_corners`.
         size: width and height of the images, px.
         board: inner corners along rows and columns.
         square_m: side of a square, m.
@@ -68,12 +68,12 @@ def fit_lens(
     """
     import cv2
 
-    if len(seen) < LEAST_VIEWS:
+    if len(corners) < LEAST_VIEWS:
         raise CalibrationError(
-            f"the board of {board[0]}x{board[1]} inner corners is whole in {len(seen)} views; at least "
+            f"the board of {board[0]}x{board[1]} inner corners is whole in {len(corners)} views; at least "
             f"{LEAST_VIEWS} are needed, tilted differently; count the corners where four squares meet"
         )
-    views = _spread(seen, MOST_VIEWS)
+    views = _spread(corners, MOST_VIEWS)
     world = [board_points(board, square_m).astype(np.float32)] * len(views)
     rms, matrix, distortion, _, _, spread, _, errors = cv2.calibrateCameraExtended(
         world, views, size, None, None, flags=cv2.CALIB_FIX_K3
@@ -98,17 +98,17 @@ def fit_lens(
     )
 
 
-def _spread(seen: Sequence[Corners], most: int) -> list[Corners]:
+def _spread(views: Sequence[Corners], limit: int) -> list[Corners]:
     """The views, at most so many, each as different as possible from those before."""
-    if len(seen) <= most:
-        return list(seen)
-    spots = np.array([view.reshape(-1) for view in seen])
-    chosen = [0]
-    apart = np.abs(spots - spots[0]).max(axis=1)
-    while len(chosen) < most:
-        chosen.append(int(apart.argmax()))
-        apart = np.minimum(apart, np.abs(spots - spots[chosen[-1]]).max(axis=1))
-    return [seen[place] for place in sorted(chosen)]
+    if len(views) <= limit:
+        return list(views)
+    spots = np.array([view.reshape(-1) for view in views])
+    places = [0]
+    distances = np.abs(spots - spots[0]).max(axis=1)
+    while len(places) < limit:
+        places.append(int(distances.argmax()))
+        distances = np.minimum(distances, np.abs(spots - spots[places[-1]]).max(axis=1))
+    return [views[place] for place in sorted(places)]
 
 
 def board_points(board: tuple[int, int], square_m: float) -> Floats:
@@ -178,16 +178,18 @@ def fit_ground(
     )
 
 
-def _check_spread(points: Floats, where: str) -> None:
+def _check_spread(points: Floats, location: str) -> None:
     """Refuse points of which no four stand apart: each three, or all but one, are almost in a line."""
     centred = points - points.mean(axis=0)
     if _flatness(centred) < FLAT:
-        raise CalibrationError(f"the points are almost in one line {where}; allowed: points around an area")
+        raise CalibrationError(
+            f"the points are almost in one line {location}; allowed: points around an area"
+        )
     for left_out in range(len(points)):
-        rest = np.delete(points, left_out, axis=0)
-        if _flatness(rest - rest.mean(axis=0)) < FLAT / 2:
+        remaining = np.delete(points, left_out, axis=0)
+        if _flatness(remaining - remaining.mean(axis=0)) < FLAT / 2:
             raise CalibrationError(
-                f"all points but number {left_out + 1} are almost in one line {where}; four are needed of "
+                f"all points but number {left_out + 1} are almost in one line {location}; four are needed of "
                 "which no "
                 "three are in a line"
             )
@@ -208,7 +210,7 @@ def _homography(source: Floats, destination: Floats) -> Floats:
 
 
 def _is_mirrored(pixels: Floats, ground: Floats, size: tuple[int, int]) -> bool:
-    """Whether a camera above the ground would see it the other way round; its visible side has depth > 0."""
+    """True if a camera above the ground would see it the other way round; its visible side has depth > 0."""
     matrix = _homography(ground, pixels)
     depths = np.column_stack([ground, np.ones(len(ground))]) @ matrix[2]
     if (depths > 0).any() and (depths < 0).any():
@@ -232,20 +234,20 @@ def _pose(pixels: Floats, ground: Floats, intrinsics: Intrinsics, size: tuple[in
     count, turns, shifts, _ = cv2.solvePnPGeneric(
         flat - middle, ideal[:, None], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
     )
-    best: tuple[float, Camera] | None = None
+    closest: tuple[float, Camera] | None = None
     for turn, shift in zip(turns[:count], shifts[:count], strict=True):
-        fine, moved = cv2.solvePnPRefineLM(flat - middle, ideal[:, None], np.eye(3), None, turn, shift)
+        fine, translation = cv2.solvePnPRefineLM(flat - middle, ideal[:, None], np.eye(3), None, turn, shift)
         rotation = np.asarray(cv2.Rodrigues(fine)[0], dtype=np.float64)
-        place = np.asarray(moved, dtype=np.float64).ravel() - rotation @ middle
+        place = np.asarray(translation, dtype=np.float64).ravel() - rotation @ middle
         camera = Camera(intrinsics.matrix, intrinsics.distortion, rotation, place, size, intrinsics.fisheye)
         error = float(np.nan_to_num(np.abs(camera.project(flat) - pixels), nan=np.inf).sum())
-        if camera.centre[2] > 0 and (best is None or error < best[0]):
-            best = error, camera
-    if best is None:
+        if camera.centre[2] > 0 and (closest is None or error < closest[0]):
+            closest = error, camera
+    if closest is None:
         raise CalibrationError(
             "no camera above the ground sees the points there; some of them may be exchanged"
         )
-    return best[1]
+    return closest[1]
 
 
 def write_camera(path: Path, view: GroundView | Intrinsics, comments: Mapping[str, float]) -> None:

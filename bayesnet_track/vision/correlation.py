@@ -70,16 +70,16 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, signed: 
 
     from bayesnet_track.vision.kernels.correlation_kernels import CELL
 
-    around = cells + 2  # a rim for the energy around a cell
-    size = CELL * around
-    side = max(round(cell * around), 2)
+    padded = cells + 2  # a rim for the energy around a cell
+    size = CELL * padded
+    side = max(round(cell * padded), 2)
     times = max(side // size, 1)
     side -= side % times
     left, top = round(x - (side - 1) / 2), round(y - (side - 1) / 2)
     crop = _cut_shrunk(image, left, top, side // times, times)
     resized = np.asarray(cv2.resize(crop, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
     return Patch(
-        left + (side - 1) / 2, top + (side - 1) / 2, side / around, _features(resized, cells, signed)
+        left + (side - 1) / 2, top + (side - 1) / 2, side / padded, _features(resized, cells, signed)
     )
 
 
@@ -118,12 +118,12 @@ def turned_features(features: Singles, angle: float) -> Singles:
     turn = np.array([[_cos(angle), _sin(angle)], [-_sin(angle), _cos(angle)]])
     matrix = np.column_stack([turn, middle - turn @ np.full(2, middle)])
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    placed = np.stack([cv2.warpAffine(one, matrix, (side, side), flags=flags) for one in features])
+    placed = np.stack([cv2.warpAffine(channel, matrix, (side, side), flags=flags) for channel in features])
     half = ORIENTATIONS // 2
     signed = ((0, ORIENTATIONS),) if len(features) == CHANNELS else ()
     for first, count in (*signed, (len(features) - UNSIGNED_CHANNELS, half)):
-        own = placed[first : first + count].reshape(count, -1)
-        placed[first : first + count] = (_shift(count, angle * ORIENTATIONS / 360.0) @ own).reshape(
+        group = placed[first : first + count].reshape(count, -1)
+        placed[first : first + count] = (_shift(count, angle * ORIENTATIONS / 360.0) @ group).reshape(
             -1, side, side
         )
     return placed
@@ -154,13 +154,13 @@ def _features(resized: Bytes, cells: int, signed: bool) -> Singles:
         oriented_gradients,
     )
 
-    around, half = cells + 2, ORIENTATIONS // 2
-    histograms = np.empty((around, around, ORIENTATIONS if signed else half), np.float32)
+    padded, half = cells + 2, ORIENTATIONS // 2
+    histograms = np.empty((padded, padded, ORIENTATIONS if signed else half), np.float32)
     oriented_gradients(cv2.cvtColor(resized, cv2.COLOR_BGR2GRAY), half, histograms)
     features = np.empty((CHANNELS if signed else UNSIGNED_CHANNELS, cells, cells), np.float32)
     normalised_cells(histograms, half, NOISE, features)
-    means = np.empty((around, around, 3), np.uint8)
-    cell_means(resized.reshape(len(resized), -1), means.reshape(around, -1))
+    means = np.empty((padded, padded, 3), np.uint8)
+    cell_means(resized.reshape(len(resized), -1), means.reshape(padded, -1))
     mixed = cv2.transform(means[1:-1, 1:-1].astype(np.float32), _MIXES)
     features[-3:] = mixed.transpose(2, 0, 1)
     return features
@@ -195,20 +195,23 @@ def _cut(image: Bytes, left: int, top: int, size: tuple[int, int]) -> Bytes:
     x0, x1 = min(max(left, 0), width - 1), max(min(left + size[1], width), 1)
     y0, y1 = min(max(top, 0), height - 1), max(min(top + size[0], height), 1)
     part = image[y0:y1, x0:x1]
-    above, before = min(max(-top, 0), size[0] - (y1 - y0)), min(max(-left, 0), size[1] - (x1 - x0))
-    return _bordered(part, above, before, size)
+    rows_before = min(max(-top, 0), size[0] - (y1 - y0))
+    columns_before = min(max(-left, 0), size[1] - (x1 - x0))
+    return _bordered(part, rows_before, columns_before, size)
 
 
-def _bordered(part: Bytes, above: int, before: int, size: tuple[int, int]) -> Bytes:
+def _bordered(part: Bytes, rows_before: int, columns_before: int, size: tuple[int, int]) -> Bytes:
     """The part below so many rows and beside so many columns like its first, up to `size` like its last."""
     import cv2
 
     rows, columns = part.shape[:2]
     if (rows, columns) == size:
         return part
-    after = size[0] - rows - above, size[1] - columns - before
+    appended = size[0] - rows - rows_before, size[1] - columns - columns_before
     kind = cv2.BORDER_REPLICATE
-    return np.asarray(cv2.copyMakeBorder(part, above, after[0], before, after[1], kind), np.uint8)
+    return np.asarray(
+        cv2.copyMakeBorder(part, rows_before, appended[0], columns_before, appended[1], kind), np.uint8
+    )
 
 
 Spectra = NDArray[np.complex64]
@@ -220,8 +223,8 @@ def hann(side: int, width: float, height: float) -> Singles:
     place = np.arange(side) - 0.5 * (side - 1)
 
     def line(span: float) -> Floats:
-        within = min(span, float(side))
-        return np.where(np.abs(place) < within / 2, np.cos(np.pi * place / within) ** 2, 0.0)
+        length = min(span, float(side))
+        return np.where(np.abs(place) < length / 2, np.cos(np.pi * place / length) ** 2, 0.0)
 
     window = np.outer(line(height), line(width)).astype(np.float32)
     window.setflags(write=False)  # shared by all who ask for it
@@ -254,8 +257,8 @@ def _spectrum(values: NDArray[np.floating[Any]]) -> NDArray[np.complexfloating[A
 def solve(numerator: Spectra, denominator: Floats, ridge: float) -> Singles:
     """(C, S, S) the filter; `ridge` is relative to the mean of the denominator."""
     side = numerator.shape[1]
-    whole = denominator + max(ridge * float(denominator.mean()), 1e-9)
-    quotient = numerator / whole.astype(np.float32)
+    regularised = denominator + max(ridge * float(denominator.mean()), 1e-9)
+    quotient = numerator / regularised.astype(np.float32)
     return np.fft.irfft(np.fft.ifft(quotient, axis=-2), side).astype(np.float32)
 
 
@@ -269,13 +272,13 @@ def tile_spectra(patch: Singles, side: int) -> Singles:
 
     from bayesnet_track.vision.kernels.correlation_kernels import centre_spectra
 
-    channels, around = patch.shape[:2]
-    rows, every = around // 2 + 1, np.empty(patch.shape, np.float32)
-    for one, packed in zip(patch, every, strict=True):
-        cv2.dft(one, packed)
-    seen = np.empty((rows, channels, 4, rows), np.float32)
-    centre_spectra(every, _turns(side, around), seen)
-    return seen
+    channels, size = patch.shape[:2]
+    rows, packed_planes = size // 2 + 1, np.empty(patch.shape, np.float32)
+    for plane, packed in zip(patch, packed_planes, strict=True):
+        cv2.dft(plane, packed)
+    spectra = np.empty((rows, channels, 4, rows), np.float32)
+    centre_spectra(packed_planes, _turns(side, size), spectra)
+    return spectra
 
 
 def halves(kernel: Singles) -> Singles:
@@ -288,7 +291,7 @@ def halves(kernel: Singles) -> Singles:
     return parts
 
 
-def scaled_answers(seen: Singles, parts: Singles, scale: float) -> Singles:
+def scaled_answers(spectra: Singles, parts: Singles, scale: float) -> Singles:
     """(V, V) answers of a filter of S cells, enlarged by `scale`, to a patch of F cells; V = F - S + 1.
 
     The patch is given by its `tile_spectra`, the filter by its `halves`. The answer at [j, i] is that to the
@@ -298,35 +301,35 @@ def scaled_answers(seen: Singles, parts: Singles, scale: float) -> Singles:
 
     from bayesnet_track.vision.kernels.correlation_kernels import conjugate_product
 
-    side, around = 2 * parts.shape[2], 2 * len(seen) - 2
-    total = np.empty((around, around), np.float32)
-    conjugate_product(seen, spectral_halves(parts, around, scale), total)
+    side, size = 2 * parts.shape[2], 2 * len(spectra) - 2
+    total = np.empty((size, size), np.float32)
+    conjugate_product(spectra, spectral_halves(parts, size, scale), total)
     back = cv2.dft(total, flags=cv2.DFT_INVERSE | cv2.DFT_SCALE)
-    return np.asarray(back[: around - side + 1, : around - side + 1], np.float32)
+    return np.asarray(back[: size - side + 1, : size - side + 1], np.float32)
 
 
-def spectral_halves(parts: Singles, around: int, scale: float) -> Singles:
-    """(2, 2, H, C, H) the `halves` of a filter enlarged by `scale` and transformed, H = `around` / 2 + 1.
+def spectral_halves(parts: Singles, size: int, scale: float) -> Singles:
+    """(2, 2, H, C, H) the `halves` of a filter enlarged by `scale` and transformed, H = `size` / 2 + 1.
 
     Resizing and transforming a filter are both linear and both symmetric about its middle. Thus they are
     products of small matrices by column and by row (`waves`), and no image is resized or transformed.
     """
-    half, channels, rows = parts.shape[2], parts.shape[3], around // 2 + 1
-    added = waves(2 * half, around, scale)
-    across = (parts.reshape(2, -1, half) @ added).reshape(2, 2, half, channels * rows)
-    return np.asarray((added.transpose(0, 2, 1) @ across).reshape(2, 2, rows, channels, rows))
+    half, channels, rows = parts.shape[2], parts.shape[3], size // 2 + 1
+    added = waves(2 * half, size, scale)
+    by_column = (parts.reshape(2, -1, half) @ added).reshape(2, 2, half, channels * rows)
+    return np.asarray((added.transpose(0, 2, 1) @ by_column).reshape(2, 2, rows, channels, rows))
 
 
 @lru_cache(maxsize=128)
-def waves(side: int, around: int, scale: float) -> Singles:
+def waves(side: int, size: int, scale: float) -> Singles:
     """(2, S / 2, H) what a cell of the even part adds to each frequency's cosine, of the odd to its sine.
 
-    The filter of `side` cells is enlarged about its middle, bicubic, into a square of `around` cells with
+    The filter of `side` cells is enlarged about its middle, bicubic, into a square of `size` cells with
     nothing beyond its own; divided by the scale by row and by column, so that a smooth filter's sum stays.
     """
     middle, cells = 0.5 * (side - 1), np.arange(side)
     resize = _resizing(side, scale)
-    angles = 2.0 * np.pi / around * np.outer(np.arange(around // 2 + 1), cells - middle)
+    angles = 2.0 * np.pi / size * np.outer(np.arange(size // 2 + 1), cells - middle)
     half = side // 2
     parts = [(turn(angles) @ resize)[:, :half].T for turn in (np.cos, np.sin)]
     added = np.array(parts, np.float32)
@@ -338,8 +341,8 @@ def _resizing(side: int, scale: float) -> Floats:
     """(side, side) weights of the source's cells in each cell enlarged: Catmull and Rom's cubic."""
     middle, cells = 0.5 * (side - 1), np.arange(side)
     place = (cells - middle) / scale + middle
-    below = np.floor(place).astype(np.int64)
-    t = place - below
+    base = np.floor(place).astype(np.int64)
+    t = place - base
     taps = (
         ((-0.5 * t + 1.0) * t - 0.5) * t,
         (1.5 * t - 2.5) * t * t + 1.0,
@@ -348,16 +351,16 @@ def _resizing(side: int, scale: float) -> Floats:
     )
     weights = np.zeros((side, side + 4))  # two more on either side, which are nothing
     for a, tap in enumerate(taps):
-        source = np.clip(below - 1 + a, -2, side + 1)
+        source = np.clip(base - 1 + a, -2, side + 1)
         weights[cells, source + 2] += tap / scale
     return weights[:, 2:-2]
 
 
 @lru_cache(maxsize=8)
-def _turns(side: int, around: int) -> Singles:
+def _turns(side: int, size: int) -> Singles:
     """(H, 2, 2, H) cosine and sine by which frequencies (j, k) and (-j, k) turn about the filter's middle."""
-    steps = np.arange(around // 2 + 1)
-    angles = np.pi * (side - 1) / around * np.stack([np.add.outer(steps, steps), steps - steps[:, None]], 1)
+    steps = np.arange(size // 2 + 1)
+    angles = np.pi * (side - 1) / size * np.stack([np.add.outer(steps, steps), steps - steps[:, None]], 1)
     turns = np.stack([np.cos(angles), np.sin(angles)], 2).astype(np.float32)
     turns.setflags(write=False)
     return turns
@@ -412,13 +415,13 @@ class TileKey:
 _OF_FRAME: WeakKeyDictionary[Frame, dict[TileKey, Tile]] = WeakKeyDictionary()
 
 
-def find_tile(frame: Frame, image: Bytes, asked: TileKey) -> Tile:
+def find_tile(frame: Frame, image: Bytes, key: TileKey) -> Tile:
     """The tile of the frame, whose (H, W, 3) BGR `image` is read when it is asked for the first time."""
     tiles = _OF_FRAME.setdefault(frame, {})
-    if asked not in tiles:
-        patch = patch_at(image, asked.x, asked.y, asked.cell, asked.around, asked.signed)
-        tiles[asked] = Tile(patch.x, patch.y, patch.cell, tile_spectra(patch.features, asked.side))
-    return tiles[asked]
+    if key not in tiles:
+        patch = patch_at(image, key.x, key.y, key.cell, key.around, key.signed)
+        tiles[key] = Tile(patch.x, patch.y, patch.cell, tile_spectra(patch.features, key.side))
+    return tiles[key]
 
 
 def find_maps(tile: Tile, kernel: Singles, turn: int, levels: range, parts: dict[int, Singles]) -> Singles:

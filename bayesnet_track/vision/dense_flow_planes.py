@@ -55,9 +55,9 @@ class DisPlane:
 
         if frames.previous is None or not _has_flow(frames):
             return np.zeros((2, 0, 0, 2), dtype=np.float32)
-        now, then = gray(frames.current.image), gray(frames.previous.image)
+        current, previous = gray(frames.current.image), gray(frames.previous.image)
         search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST)
-        return np.stack([search.calc(now, then, None), search.calc(then, now, None)])
+        return np.stack([search.calc(current, previous, None), search.calc(previous, current, None)])
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ class DenseFlowPlane:
         if region.is_empty or frames.previous is None or not _has_flow(frames):
             return field
         scores = self._scores(frames.current, region)
-        whole = Region(0, 0, frames.current.width, frames.current.height)
+        full = Region(0, 0, frames.current.width, frames.current.height)
         if self.by == "dis":
-            self._check(inputs[0], whole, region, scores, field)
+            self._check(inputs[0], full, region, scores, field)
         else:
             for tile in _tiles(region):
                 part = Region(
@@ -109,24 +109,26 @@ class DenseFlowPlane:
                     min(tile.x1, region.x1),
                     min(tile.y1, region.y1),
                 )
-                here = Region(
+                window = Region(
                     part.x0 - region.x0, part.y0 - region.y0, part.x1 - region.x0, part.y1 - region.y0
                 )
                 crop = tile.grown(AROUND).within(frames.current)
-                now, then = (gray(crop.of(f.image)) for f in (frames.current, frames.previous))
-                both = np.stack([odp_flow(now, then, self.reach_px), odp_flow(then, now, self.reach_px)])
-                self._check(both, crop, part, here.of(scores), here.of(field))
+                current, previous = (gray(crop.of(f.image)) for f in (frames.current, frames.previous))
+                flows = np.stack(
+                    [odp_flow(current, previous, self.reach_px), odp_flow(previous, current, self.reach_px)]
+                )
+                self._check(flows, crop, part, window.of(scores), window.of(field))
         field[..., :2] /= np.float32(interval_of(frames))
         return field
 
-    def _check(self, both: Array, covered: Region, region: Region, scores: Array, field: Array) -> None:
+    def _check(self, flows: Array, covered: Region, region: Region, scores: Array, field: Array) -> None:
         from bayesnet_track.vision.kernels.dense_flow_kernels import there_and_back
 
         left, top = region.x0 - covered.x0, region.y0 - covered.y0
         part = np.empty(field.shape, np.float32)  # kernels get whole arrays: each is compiled once only
         there_and_back(
-            both[0],
-            both[1],
+            flows[0],
+            flows[1],
             left,
             top,
             np.ascontiguousarray(scores),
@@ -161,18 +163,18 @@ def odp_flow(source: Array, target: Array, reach_px: float) -> Array:
     for scale in (2, 4, COARSEST):
         levels[scale] = tuple(cv2.pyrDown(image) for image in levels[scale // 2])
     flow: Array = np.zeros((2, *levels[COARSEST][0].shape), dtype=np.float32)
-    before = COARSEST
+    previous_scale = COARSEST
     for scale, width, steps, step in PASSES:
-        one, other = levels[scale]
-        if scale != before:
-            shape = (one.shape[1], one.shape[0])
+        source_level, target_level = levels[scale]
+        if scale != previous_scale:
+            shape = (source_level.shape[1], source_level.shape[0])
             flow = np.stack([2 * cv2.resize(part, shape, interpolation=cv2.INTER_LINEAR) for part in flow])
-            before = scale
+            previous_scale = scale
         reach = steps or int(np.ceil(reach_px / scale)) + 1
-        odp_pass(one, other, flow[0], flow[1], width, reach, step, STIFFNESS_GRAY)
+        odp_pass(source_level, target_level, flow[0], flow[1], width, reach, step, STIFFNESS_GRAY)
         turned = np.ascontiguousarray(flow.transpose(0, 2, 1))
-        one, other = (np.ascontiguousarray(image.T) for image in (one, other))
-        odp_pass(one, other, turned[1], turned[0], width, reach, step, STIFFNESS_GRAY)
+        source_level, target_level = (np.ascontiguousarray(image.T) for image in (source_level, target_level))
+        odp_pass(source_level, target_level, turned[1], turned[0], width, reach, step, STIFFNESS_GRAY)
         flow = np.stack([cv2.blur(np.ascontiguousarray(part.T), (3, 3)) for part in turned])
     return np.ascontiguousarray(flow.transpose(1, 2, 0))
 

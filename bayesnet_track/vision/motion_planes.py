@@ -45,10 +45,10 @@ def similarity(points: Floats, tolerance: float) -> Similarity:
     centre = place.mean() if len(place) else 0j  # near the points, so that nothing is lost to rounding
     place = place - centre
     turn, shift = _candidates(place, flow)
-    away = _squares(flow - turn[:, None] * place - shift[:, None])
-    best = int(np.minimum(away, tolerance**2).sum(axis=1).argmin())
-    a, b = turn[best], shift[best]
-    agree = away[best] <= tolerance**2
+    errors = _squares(flow - turn[:, None] * place - shift[:, None])
+    index = int(np.minimum(errors, tolerance**2).sum(axis=1).argmin())
+    a, b = turn[index], shift[index]
+    agree = errors[index] <= tolerance**2
     for _ in range(ROUNDS):
         if agree.sum() < 2:
             break
@@ -72,10 +72,10 @@ def _candidates(place: Complexes, flow: Complexes) -> tuple[Complexes, Complexes
     if len(place) < 2:
         return still, still
     first, second = np.random.default_rng(0).integers(0, len(place), (2, SAMPLES))
-    apart = place[second] - place[first]
-    usable = apart != 0
-    first, second, apart = first[usable], second[usable], apart[usable]
-    turn = (flow[second] - flow[first]) / apart
+    offsets = place[second] - place[first]
+    usable = offsets != 0
+    first, second, offsets = first[usable], second[usable], offsets[usable]
+    turn = (flow[second] - flow[first]) / offsets
     return np.concatenate([still, turn]), np.concatenate([still, flow[first] - turn * place[first]])
 
 
@@ -173,11 +173,11 @@ class FlowPlane:
         flow_kernels.corner_scores(for_reading(image), self.min_gradient_gray**2, scores)
         origin, low = np.array([crop.x0, crop.y0]), np.array([cells.x0, cells.y0])
         high = np.array([cells.x1, cells.y1])
-        across, down = -(-(high - low) // self.spacing_px)
-        found = np.zeros((across * down, 2), dtype=np.int64)
-        found = found[: flow_kernels.lattice_corners(scores, origin, low, high, self.spacing_px, found)]
-        x, y = found[:, 0], found[:, 1]
-        return found[(x >= region.x0) & (x < region.x1) & (y >= region.y0) & (y < region.y1)]
+        columns, rows = -(-(high - low) // self.spacing_px)
+        corners = np.zeros((columns * rows, 2), dtype=np.int64)
+        corners = corners[: flow_kernels.lattice_corners(scores, origin, low, high, self.spacing_px, corners)]
+        x, y = corners[:, 0], corners[:, 1]
+        return corners[(x >= region.x0) & (x < region.x1) & (y >= region.y0) & (y < region.y1)]
 
 
 @dataclass(frozen=True)
@@ -208,17 +208,17 @@ class CameraPlane:
         previous, _ = smaller_gray(frames.previous)
         size = np.array([current.width, current.height])
         vectors = CAMERA_FLOW.compute(FramePair(current, previous), (), Region(0, 0, *size.tolist()))
-        moved = vectors * np.array([1.0, 1.0, interval, interval])  # pixels of the smaller picture
-        found = similarity(moved, CAMERA_AGREE_PX)
-        agree = found.agree
+        displacements = vectors * np.array([1.0, 1.0, interval, interval])  # pixels of the smaller picture
+        fit = similarity(displacements, CAMERA_AGREE_PX)
+        agree = fit.agree
         if agree.sum() < LEAST_POINTS:
             return np.zeros((2, 3))
         if self.only_clear:
-            way = scale * _flow_at(moved[agree], found.matrix)
+            way = scale * _flow_at(displacements[agree], fit.matrix)
             clear = agree.sum() >= LEAST_SHARE * agree.size and np.mean((way**2).sum(axis=1)) >= LEAST_PX**2
-            if not clear or not _explains(found.matrix, current.image, previous.image):
+            if not clear or not _explains(fit.matrix, current.image, previous.image):
                 return np.zeros((2, 3))
-        return np.asarray(found.matrix * np.array([1.0, 1.0, scale]) / interval)
+        return np.asarray(fit.matrix * np.array([1.0, 1.0, scale]) / interval)
 
 
 def interval_of(frames: FramePair) -> float:
@@ -243,20 +243,22 @@ def _flow_at(points: Array, camera: Array) -> Array:
     return np.column_stack([row[0] * x + row[1] * y + row[2] for row in camera])
 
 
-def _explains(matrix: Array, now: Array, then: Array) -> bool:
-    """True if the motion explains the gray image `now` better than rest, nearly wherever the two differ.
+def _explains(matrix: Array, current: Array, previous: Array) -> bool:
+    """True if the motion explains the gray image `current` better than rest, nearly wherever the two differ.
 
     Corners alone do not tell: on a plain ground that rests, all of them may be on things that move.
     """
     import cv2
 
-    back = np.hstack([np.eye(2), np.zeros((2, 1))]) - matrix  # where a point of `now` was
+    back = np.hstack([np.eye(2), np.zeros((2, 1))]) - matrix  # where a point of `current` was
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    moved = cv2.warpAffine(then, back, now.shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    off = (cv2.absdiff(now, one).astype(np.float32) for one in (then, moved))
-    still, moving = (cv2.resize(one, (CELLS, CELLS), interpolation=cv2.INTER_AREA) for one in off)
-    ahead, behind = np.sum(still - moving > CLEAR_GRAY), np.sum(moving - still > CLEAR_GRAY)
-    return bool(ahead >= LEAST_CELLS and ahead >= 3 * behind)
+    warped = cv2.warpAffine(previous, back, current.shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    differences = (cv2.absdiff(current, image).astype(np.float32) for image in (previous, warped))
+    still, moving = (
+        cv2.resize(difference, (CELLS, CELLS), interpolation=cv2.INTER_AREA) for difference in differences
+    )
+    better, worse = np.sum(still - moving > CLEAR_GRAY), np.sum(moving - still > CLEAR_GRAY)
+    return bool(better >= LEAST_CELLS and better >= 3 * worse)
 
 
 _SMALLER: WeakKeyDictionary[Frame, tuple[Frame, int]] = WeakKeyDictionary()
@@ -267,15 +269,15 @@ def smaller_gray(frame: Frame) -> tuple[Frame, int]:
 
     Kept while the frame lives: it is compared with the frame before it, and then with the one after it.
     """
-    found = _SMALLER.get(frame)
-    if found is None:
+    smaller = _SMALLER.get(frame)
+    if smaller is None:
         import cv2
 
         image, scale = gray(frame.image), 1
         while max(image.shape) > LONGEST_PX:
             image, scale = cv2.pyrDown(image), 2 * scale
-        found = _SMALLER[frame] = Frame(frame.index, frame.time, image), scale
-    return found
+        smaller = _SMALLER[frame] = Frame(frame.index, frame.time, image), scale
+    return smaller
 
 
 def _brightness(frame: Frame, region: Region) -> Array:
@@ -313,8 +315,8 @@ def valid_vectors_of(flow: Array, pixels_of: Region | None) -> Array:
         return flow
     from bayesnet_track.vision.kernels.dense_flow_kernels import valid_vectors
 
-    found = np.empty((flow[..., 0].size, 4))
-    return found[: valid_vectors(np.ascontiguousarray(flow), pixels_of.x0, pixels_of.y0, found)]
+    vectors = np.empty((flow[..., 0].size, 4))
+    return vectors[: valid_vectors(np.ascontiguousarray(flow), pixels_of.x0, pixels_of.y0, vectors)]
 
 
 def means_in_boxes(points: Array, boxes: Array, pixels_of: Region | None) -> tuple[Array, Array]:
@@ -360,11 +362,13 @@ class PanPlane:
 
         if frames.previous is None or not interval_of(frames) > 0:
             return np.zeros(2)
-        (now, scale), (then, _) = smaller_gray(frames.current), smaller_gray(frames.previous)
-        if min(now.width, now.height) < 2:
+        (current, scale), (previous, _) = smaller_gray(frames.current), smaller_gray(frames.previous)
+        if min(current.width, current.height) < 2:
             return np.zeros(2)
-        window = cv2.createHanningWindow((now.width, now.height), cv2.CV_32F)
-        shift, clear = cv2.phaseCorrelate(then.image.astype(np.float32), now.image.astype(np.float32), window)
+        window = cv2.createHanningWindow((current.width, current.height), cv2.CV_32F)
+        shift, clear = cv2.phaseCorrelate(
+            previous.image.astype(np.float32), current.image.astype(np.float32), window
+        )
         if clear < LEAST_RESPONSE:
             return np.zeros(2)
         return np.asarray(shift, dtype=np.float64) * scale

@@ -150,19 +150,20 @@ class ColorCells:
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.vision.kernels.color_kernels import fill_color_cells
 
-        last = self.levels
+        last_levels = self.levels
         if self.space == "hsv":
             import cv2
 
-            image, last = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2HSV_FULL), self.levels // 2
-        cells: NDArray[np.uint16] = fill_color_cells(for_reading(image), _layout(self.levels, last))
+            image = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2HSV_FULL)
+            last_levels = self.levels // 2
+        cells: NDArray[np.uint16] = fill_color_cells(for_reading(image), _layout(self.levels, last_levels))
         return cells
 
 
 @lru_cache(maxsize=8)
-def _layout(levels: int, last: int) -> NDArray[np.uint16]:
-    """(2, 3) levels of each channel, `last` of the third, and what one of them adds to a cell's number."""
-    layout = np.array([[levels, levels, last], [levels * last, last, 1]], np.uint16)
+def _layout(levels: int, last_levels: int) -> NDArray[np.uint16]:
+    """(2, 3) levels of each channel, `last_levels` of the third, and what each adds to a cell's number."""
+    layout = np.array([[levels, levels, last_levels], [levels * last_levels, last_levels, 1]], np.uint16)
     layout.setflags(write=False)  # shared by all who ask for it
     return layout
 
@@ -201,11 +202,11 @@ class TextureCodes:
         codes = np.empty((max(region.y1 - region.y0, 0), max(region.x1 - region.x0, 0)), np.uint8)
         if codes.size == 0:
             return codes
-        wanted = region.grown(1)
-        has = wanted.within(frames.current)
-        beyond = ((has.y0 - wanted.y0, wanted.y1 - has.y1), (has.x0 - wanted.x0, wanted.x1 - has.x1))
+        grown = region.grown(1)
+        has = grown.within(frames.current)
+        beyond = ((has.y0 - grown.y0, grown.y1 - has.y1), (has.x0 - grown.x0, grown.x1 - has.x1))
         values = gray(has.of(frames.current.image))
-        values = values if has == wanted else np.pad(values, beyond, mode="edge")
+        values = values if has == grown else np.pad(values, beyond, mode="edge")
         if self.form == "patterns":
             binary_patterns(values, self.noise, codes)
         else:
@@ -258,10 +259,10 @@ class EdgePlane:
         for k, factor in enumerate(CONTRASTS):
             high = SOBEL * factor * self.min_gradient_gray
             bits |= cv2.Canny(dx, dy, 0.5 * high, high, L2gradient=True) & np.uint8(1 << k)
-        found = cv2.findNonZero(bits)
-        if found is None:
+        pixels = cv2.findNonZero(bits)
+        if pixels is None:
             return np.empty((0, 3), dtype=np.int64)
-        points = found.reshape(-1, 2).astype(np.int64)
+        points = pixels.reshape(-1, 2).astype(np.int64)
         return np.column_stack([points, bits[points[:, 1], points[:, 0]]])
 
 
@@ -329,14 +330,14 @@ def describe_scene(image: Image) -> Scene | None:
     return Scene(np.sqrt(counts.ravel() / gray.size), cells)
 
 
-def compare_scenes(before: Scene, after: Scene) -> SceneChange:
+def compare_scenes(previous: Scene, current: Scene) -> SceneChange:
     """Difference of the two."""
     import cv2
 
-    across, down = SHIFT
-    middle = after.cells[down:-down, across:-across]
+    shift_x, shift_y = SHIFT
+    middle = current.cells[shift_y:-shift_y, shift_x:-shift_x]
     # Of a uniform middle the correlation is said to be 1 wherever it is looked for.
     is_flat = float(middle.std()) < LEAST_SD / 4
-    match = 0.0 if is_flat else float(cv2.matchTemplate(before.cells, middle, cv2.TM_CCOEFF_NORMED).max())
-    shared = float(before.colors @ after.colors)
+    match = 0.0 if is_flat else float(cv2.matchTemplate(previous.cells, middle, cv2.TM_CCOEFF_NORMED).max())
+    shared = float(previous.colors @ current.colors)
     return SceneChange(math.sqrt(max(1.0 - shared, 0.0)), min(max(1.0 - match, 0.0), 1.0))

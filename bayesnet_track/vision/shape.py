@@ -24,8 +24,8 @@ CONTROL_POINTS = 40
 """Control points of a silhouette (thesis 3.3)."""
 
 
-def basis(at: Floats, controls: int) -> Floats:
-    """(n, controls) weights of the control points at the curve parameters `at` (n,), each in 0 .. controls.
+def basis(parameters: Floats, controls: int) -> Floats:
+    """(n, controls) weights of the control points at curve `parameters` (n,), each in 0 .. controls.
 
     Parameter i is the knot at which control point i weighs 4/6 and its two neighbours 1/6. The weights of a
     row sum to 1; the curve is closed, so that parameter `controls` is parameter 0.
@@ -33,11 +33,11 @@ def basis(at: Floats, controls: int) -> Floats:
     >>> (6 * basis(np.array([2.0]), 5)).round(12).tolist()
     [[0.0, 1.0, 4.0, 1.0, 0.0]]
     """
-    knot = np.floor(at).astype(np.int64)
-    t = at - knot
+    knot = np.floor(parameters).astype(np.int64)
+    t = parameters - knot
     blends = ((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3)
-    weights = np.zeros((len(at), controls))
-    rows = np.arange(len(at))
+    weights = np.zeros((len(parameters), controls))
+    rows = np.arange(len(parameters))
     for offset, blend in enumerate(blends, start=-1):
         np.add.at(weights, (rows, (knot + offset) % controls), blend / 6.0)
     return weights
@@ -134,12 +134,12 @@ def contours(points: Ints, boxes: Floats, frame: Ints) -> Contours:
     return Contours(boxes, snakes, controls, curves, support)
 
 
-def fields(found: Contours) -> Floats:
+def fields(outlines: Contours) -> Floats:
     """(C, S, S) signed distance in px to each contour around its box grown by `COVER`; negative inside."""
     from bayesnet_track.vision.kernels.shape_kernels import cell_fields
 
-    values = np.empty((len(found.boxes), FIELD_POINTS, FIELD_POINTS))
-    cell_fields(found.curves, found.boxes, COVER, values)
+    values = np.empty((len(outlines.boxes), FIELD_POINTS, FIELD_POINTS))
+    cell_fields(outlines.curves, outlines.boxes, COVER, values)
     return values
 
 
@@ -161,8 +161,8 @@ def _distances(points: Ints, boxes: Floats, frame: Ints) -> tuple[Array, Ints]:
     high = np.ceil((boxes[:, :2] + room).max(axis=0)).astype(np.int64) + 4
     low, high = np.clip(low, 0, frame - 1), np.clip(high, 1, frame)
     high = np.maximum(high, low + 1)
-    inside = ((points >= low) & (points < high)).all(axis=1)
-    x, y = (points[inside] - low).T
+    in_window = ((points >= low) & (points < high)).all(axis=1)
+    x, y = (points[in_window] - low).T
     free = np.full((high[1] - low[1], high[0] - low[0]), 255, dtype=np.uint8)
     free[y, x] = 0
     if len(x) == 0:
@@ -176,9 +176,9 @@ def mask_edges(mask: Array) -> Ints:
     """(E, 2) x, y of the pixels of a mask (H, W) next to its outside; the picture's rim is outside."""
     import cv2
 
-    inside = (np.asarray(mask) > 0).astype(np.uint8)
-    core = cv2.erode(inside, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    y, x = np.nonzero(inside & ~core & 1)
+    filled = (np.asarray(mask) > 0).astype(np.uint8)
+    core = cv2.erode(filled, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    y, x = np.nonzero(filled & ~core & 1)
     return np.column_stack([x, y]).astype(np.int64)
 
 
@@ -195,12 +195,12 @@ def mask_box(mask: Array) -> Floats:
     return np.array([(left + right) / 2, (top + bottom) / 2, right - left + 1, bottom - top + 1], np.float64)
 
 
-def vectors(found: Contours, boxes: Floats, grid: int) -> Floats:
+def vectors(outlines: Contours, boxes: Floats, grid: int) -> Floats:
     """(C, grid * grid) shape vector of each contour in a box (C, 4) near its own; rows top to bottom."""
     from bayesnet_track.vision.kernels.shape_kernels import shape_vector
 
     values = np.empty((len(boxes), grid * grid))
-    for field, cell, box, vector in zip(fields(found), found.boxes, boxes, values, strict=True):
+    for field, cell, box, vector in zip(fields(outlines), outlines.boxes, boxes, values, strict=True):
         shape_vector(field, cell, COVER, np.asarray(box, dtype=np.float64), vector)
     return values
 
@@ -227,8 +227,8 @@ def frame_example(frame: Frame, box: Floats, edges: EdgePlane, grid: int) -> tup
 
 
 def _example(points: Array, box: Floats, width: int, height: int, grid: int) -> tuple[Floats, float]:
-    found = contours(points, box, np.array([width, height], dtype=np.int64))
-    return vectors(found, box, grid)[0], float(found.support[0])
+    outline = contours(points, box, np.array([width, height], dtype=np.int64))
+    return vectors(outline, box, grid)[0], float(outline.support[0])
 
 
 KIND, VERSION = "bayesnet_track shape model", 1
@@ -283,31 +283,31 @@ def learn_model(vectors: Floats, keep: float = KEEP) -> ShapeModel:
     total = float(variances.sum())
     if total <= 1e-20:
         return ShapeModel(mean, np.empty((0, mean.size)), np.empty(0), 1.0, len(examples))
-    held = np.cumsum(variances) / total
-    count = min(int(np.searchsorted(held, keep - 1e-12)) + 1, len(variances))
-    return ShapeModel(mean, _sign(axes[:count]), variances[:count], float(held[count - 1]), len(examples))
+    shares = np.cumsum(variances) / total
+    count = min(int(np.searchsorted(shares, keep - 1e-12)) + 1, len(variances))
+    return ShapeModel(mean, _sign(axes[:count]), variances[:count], float(shares[count - 1]), len(examples))
 
 
-def merge(old: ShapeModel, new: ShapeModel, rate: float, most: int) -> ShapeModel:
-    """The Gaussian with the mean and covariance of the mixture (1 - rate) old + rate new.
+def merge(current: ShapeModel, learnt: ShapeModel, rate: float, limit: int) -> ShapeModel:
+    """The Gaussian with the mean and covariance of the mixture (1 - rate) current + rate learnt.
 
-    At most `most` modes, those with the largest variances. Rate 0 and 1 give the two models themselves.
+    At most `limit` modes, those with the largest variances. Rate 0 and 1 give the two models themselves.
     """
     if rate <= 0.0 or rate >= 1.0:
-        return old if rate <= 0.0 else new
-    mean = (1.0 - rate) * old.mean + rate * new.mean
+        return current if rate <= 0.0 else learnt
+    mean = (1.0 - rate) * current.mean + rate * learnt.mean
     columns = np.concatenate(
         [
-            old.modes * np.sqrt((1.0 - rate) * old.variances)[:, None],
-            new.modes * np.sqrt(rate * new.variances)[:, None],
-            (np.sqrt(rate * (1.0 - rate)) * (new.mean - old.mean))[None],
+            current.modes * np.sqrt((1.0 - rate) * current.variances)[:, None],
+            learnt.modes * np.sqrt(rate * learnt.variances)[:, None],
+            (np.sqrt(rate * (1.0 - rate)) * (learnt.mean - current.mean))[None],
         ]
     )
     # The covariance is columns' columns; its eigenvectors come from the small matrix columns columns'.
     variances, weights = np.linalg.eigh(np.einsum("ap,bp->ab", columns, columns))
-    order = [k for k in np.argsort(-variances, kind="stable")[:most] if variances[k] > 1e-12]
+    order = [k for k in np.argsort(-variances, kind="stable")[:limit] if variances[k] > 1e-12]
     modes = np.einsum("ak,ap->kp", weights[:, order], columns) / np.sqrt(variances[order])[:, None]
-    return ShapeModel(mean, _sign(modes), variances[order], 1.0, old.examples + new.examples)
+    return ShapeModel(mean, _sign(modes), variances[order], 1.0, current.examples + learnt.examples)
 
 
 def save_model(path: str | Path, model: ShapeModel) -> None:

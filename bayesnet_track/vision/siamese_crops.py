@@ -57,17 +57,17 @@ class Crop:
             cv2.resize(part, (self.shown, self.shown), interpolation=cv2.INTER_LINEAR), np.uint8
         )
 
-    def _reduced(self, part: Bytes, at: tuple[int, int], color: list[int]) -> Bytes:
-        """(shown, shown, 3) of the square with `part` at column and row `at`, and a colour elsewhere."""
+    def _reduced(self, part: Bytes, corner: tuple[int, int], color: list[int]) -> Bytes:
+        """(shown, shown, 3) of the square with `part` at column and row `corner`, and a colour elsewhere."""
         import cv2
 
         # Samples where `resize` would sample the whole square, which could take hundreds of megabytes.
         times = self.side / self.shown
         shift = 0.5 * times - 0.5
-        back = np.array([[times, 0.0, shift - at[0]], [0.0, times, shift - at[1]]])
+        back = np.array([[times, 0.0, shift - corner[0]], [0.0, times, shift - corner[1]]])
         sampling = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        shown = (self.shown, self.shown)
-        return np.asarray(cv2.warpAffine(part, back, shown, flags=sampling, borderValue=color), np.uint8)
+        size = (self.shown, self.shown)
+        return np.asarray(cv2.warpAffine(part, back, size, flags=sampling, borderValue=color), np.uint8)
 
     def boxes(self, response: Response) -> Floats:
         """(S * S, 4) centre boxes in the frame, px, row by row; sides of no extent are left tiny."""
@@ -94,50 +94,50 @@ def context_side(size: Floats) -> float:
 
 def template_crop(box: Floats) -> Crop:
     """Crop of the template of a target in a centre box (4,)."""
-    return _around(box[0], box[1], context_side(box[2:]), TEMPLATE)
+    return _crop_around(box[0], box[1], context_side(box[2:]), TEMPLATE)
 
 
-def search_crop(x: float, y: float, size: Floats, shown: int = SEARCH) -> Crop:
-    """Crop to search around a place for a target of this size, at the template's scale, in `shown` px."""
-    return _around(x, y, context_side(size), shown)
+def search_crop(x: float, y: float, size: Floats, side: int = SEARCH) -> Crop:
+    """Crop to search around a place for a target of this size, at the template's scale, in `side` px."""
+    return _crop_around(x, y, context_side(size), side)
 
 
 def wide_crop(x: float, y: float, size: Floats) -> Crop:
     """Crop to search if a target of this size may be far from the place: SEARCH px of a coarser scale."""
-    return _around(x, y, context_side(size), SEARCH, WIDE)
+    return _crop_around(x, y, context_side(size), SEARCH, WIDE)
 
 
-def _around(x: float, y: float, context: float, shown: int, coarse: float = 1.0) -> Crop:
-    whole = max(round(coarse * context * shown / TEMPLATE), 1)
-    return Crop(round(x - (whole - 1) / 2), round(y - (whole - 1) / 2), whole, shown, coarse)
+def _crop_around(x: float, y: float, context: float, side: int, coarse: float = 1.0) -> Crop:
+    width = max(round(coarse * context * side / TEMPLATE), 1)
+    return Crop(round(x - (width - 1) / 2), round(y - (width - 1) / 2), width, side, coarse)
 
 
 def crops_for(
-    boxes: Floats, asked: NDArray[np.bool_], place: Floats, size: Floats, most: int
+    boxes: Floats, is_asked: NDArray[np.bool_], place: Floats, size: Floats, limit: int
 ) -> Iterator[tuple[Crop, NDArray[np.intp]]]:
-    """Search crops, and which of the centre boxes (N, 4) that are `asked` are to be read in each.
+    """Search crops, and which of the centre boxes (N, 4), where `is_asked`, are to be read in each.
 
     The crops' centres are on a lattice around `place`: whichever boxes there are, one is read in the same
-    crop. Where more than `most` would be needed, each crop is centred on the median of the boxes that are
-    left, and takes those near it; after `most` crops the rest is left out.
+    crop. Where more than `limit` would be needed, each crop is centred on the median of the boxes that
+    remain, and takes those near it; after `limit` crops the rest is left out.
     """
     reach = TILE * context_side(size)
     tiles = np.rint((boxes[:, :2] - place) / reach)
-    left = np.flatnonzero(asked)
-    tile_of = tiles[left] @ [2.0**20, 1.0]  # one number is sorted faster than two
-    knots, first, which = np.unique(tile_of, return_index=True, return_inverse=True)
-    if len(knots) <= most:
-        for k, knot in enumerate(tiles[left[first]]):
+    remaining = np.flatnonzero(is_asked)
+    tile_of = tiles[remaining] @ [2.0**20, 1.0]  # one number is sorted faster than two
+    knots, first, tile_numbers = np.unique(tile_of, return_index=True, return_inverse=True)
+    if len(knots) <= limit:
+        for k, knot in enumerate(tiles[remaining[first]]):
             x, y = place + knot * reach
-            yield search_crop(float(x), float(y), size), left[which == k]
+            yield search_crop(float(x), float(y), size), remaining[tile_numbers == k]
         return
-    for _ in range(most):
-        if not len(left):
+    for _ in range(limit):
+        if not len(remaining):
             return
-        x, y = np.median(boxes[left, :2], axis=0)
-        near = (np.abs(boxes[left, :2] - [x, y]) <= NEAR * reach).all(axis=1)
-        yield search_crop(float(x), float(y), size), left[near]
-        left = left[~near] if near.any() else left[:0]
+        x, y = np.median(boxes[remaining, :2], axis=0)
+        is_near = (np.abs(boxes[remaining, :2] - [x, y]) <= NEAR * reach).all(axis=1)
+        yield search_crop(float(x), float(y), size), remaining[is_near]
+        remaining = remaining[~is_near] if is_near.any() else remaining[:0]
 
 
 CELL = 4
@@ -159,9 +159,11 @@ def plain() -> Networks:
         return np.ascontiguousarray(cells(crop)[quarter:-quarter, quarter:-quarter])
 
     def compare(template: Singles, crop: Bytes, size: Floats) -> Response:
-        wanted = max(round(len(template) * context_side(size) / TEMPLATE), 2)
-        if abs(wanted - len(template)) > 1:  # the crop is not at the template's scale
-            template = np.asarray(cv2.resize(template, (wanted, wanted), interpolation=cv2.INTER_AREA))
+        target_side = max(round(len(template) * context_side(size) / TEMPLATE), 2)
+        if abs(target_side - len(template)) > 1:  # the crop is not at the template's scale
+            template = np.asarray(
+                cv2.resize(template, (target_side, target_side), interpolation=cv2.INTER_AREA)
+            )
         likeness = cv2.matchTemplate(cells(crop), template, cv2.TM_CCOEFF_NORMED)
         likeness = np.nan_to_num(np.asarray(likeness, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
         if np.ptp(template, axis=(0, 1)).max() < 1.0:  # OpenCV says 1 where both are flat
@@ -200,28 +202,28 @@ class Memory:
 
     def proposals(self, image: Bytes, crop: Crop, template: Bytes, size: Floats) -> Proposals:
         """Proposals of the network in a crop of a frame for a target of w, h `size` px."""
-        shown = template.tobytes()
-        key = (crop, shown, size.tobytes())
+        content = template.tobytes()
+        key = (crop, content, size.tobytes())
         with self._lock:
             if self._image is not image:
                 self._image = image
                 self._answers.clear()
-            found = self._answers.get(key)
-            if found is None:
-                found = self._answers[key] = self._asked(image, crop, shown, template, size)
-            return found
+            proposals = self._answers.get(key)
+            if proposals is None:
+                proposals = self._answers[key] = self._evaluate(image, crop, content, template, size)
+            return proposals
 
-    def _asked(self, image: Bytes, crop: Crop, shown: bytes, template: Bytes, size: Floats) -> Proposals:
-        features = self._described.get(shown)
+    def _evaluate(self, image: Bytes, crop: Crop, content: bytes, template: Bytes, size: Floats) -> Proposals:
+        features = self._described.get(content)
         if features is None:
             if len(self._described) >= TEMPLATES:
                 self._described.clear()
-            features = self._described[shown] = self._networks.describe(template)
-        seen = crop.cut(image)
-        if int(seen.max()) - int(seen.min()) < FLAT:
+            features = self._described[content] = self._networks.describe(template)
+        pixels = crop.cut(image)
+        if int(pixels.max()) - int(pixels.min()) < FLAT:
             return np.empty((0, 4)), np.empty(0)
         expected = size * TEMPLATE / context_side(size) / crop.coarse
-        response = self._networks.compare(features, seen, expected)
+        response = self._networks.compare(features, pixels, expected)
         probabilities = response.probabilities.reshape(-1).astype(np.float64)
         order = np.argsort(-probabilities, kind="stable")
         order = order[probabilities[order] >= LEAST]

@@ -71,10 +71,10 @@ def run_by_opencv(model: bytes) -> Half:
         try:
             for name, values in inputs.items():
                 network.setInput(values, name)
-            found: Any = network.forward(outputs) if outputs else [network.forward()]
+            results: Any = network.forward(outputs) if outputs else [network.forward()]
         except cv2.error as error:
             raise HalfError(reason_of(error)) from error
-        return [np.array(one, np.float32) for one in found]
+        return [np.array(result, np.float32) for result in results]
 
     return run
 
@@ -100,7 +100,9 @@ def run_by_onnxruntime(model: bytes) -> Half:
 
     def run(inputs: Mapping[str, Singles], outputs: Sequence[str] = ()) -> list[Singles]:
         try:
-            return list(session.run(outputs or None, {name or first: own for name, own in inputs.items()}))
+            return list(
+                session.run(outputs or None, {name or first: values for name, values in inputs.items()})
+            )
         except Exception as error:
             raise HalfError(_reason_of(error)) from error
 
@@ -177,8 +179,8 @@ def load_networks(
         SiameseError: a file is missing or no ONNX model, the two are not the halves of such a network, they
             take no crops of such a side, loading or running them crashes, or the runtime is not installed.
     """
-    given = {"backbone": backbone, "head": head, "sides": [*sides], "runtime": runtime}
-    check_apart(try_networks, [backbone, head], SiameseError, **given)
+    arguments = {"backbone": backbone, "head": head, "sides": [*sides], "runtime": runtime}
+    check_apart(try_networks, [backbone, head], SiameseError, **arguments)
     return try_networks(backbone, head, sides, runtime)
 
 
@@ -186,12 +188,12 @@ def try_networks(backbone: str, head: str, sides: Sequence[int], runtime: Runtim
     """Load networks as `load_networks` does, in this process whatever the files do to it."""
     import cv2
 
-    body, usual = _open("backbone", backbone, runtime), _open("head", head, runtime)
+    body, default_head = _open("backbone", backbone, runtime), _open("head", head, runtime)
 
     @cache
     def neck(cells: int) -> Half:
-        changed = None if cells == FEATURES else _of_cells(Path(head).read_bytes(), cells)
-        return usual if changed is None else RUNTIMES[runtime](changed)
+        resized = None if cells == FEATURES else _of_cells(Path(head).read_bytes(), cells)
+        return default_head if resized is None else RUNTIMES[runtime](resized)
 
     def describe(crop: Bytes) -> Singles:
         (features,) = body({"": cv2.dnn.blobFromImage(crop, swapRB=True)})
@@ -222,14 +224,14 @@ def _of_cells(head: bytes, cells: int) -> bytes | None:
     It is convolutional but for the shape of its correlation, which such files hold as a constant. One that
     does not hold it, or more than once, is taken as it is.
     """
-    shape, wanted = (struct.pack("<4q", 1, -1, side, side) for side in (FEATURES, cells))
+    shape, resized_shape = (struct.pack("<4q", 1, -1, side, side) for side in (FEATURES, cells))
     if head.count(shape) != 1:
         return None
     # OpenCV 4 and ONNX Runtime try the constant on the shapes that the file declares: height and width, and
     # their product where a map is a row.
-    declared, other = (2 * _dimension(side, 1) for side in (FEATURES, cells))
+    declared, resized_map = (2 * _dimension(side, 1) for side in (FEATURES, cells))
     row, other_row = (_dimension(side**2, 2) for side in (FEATURES, cells))
-    return head.replace(shape, wanted).replace(declared, other).replace(row, other_row)
+    return head.replace(shape, resized_shape).replace(declared, resized_map).replace(row, other_row)
 
 
 def _dimension(size: int, length: int) -> bytes:
@@ -277,15 +279,15 @@ def _try_out(networks: Networks, backbone: str, head: str, side: int) -> int:
         raise SiameseError(f"backbone: {backbone}: does not run on {size}{swapped} {error}") from error
     working_on(head)
     try:
-        found = networks.compare(template, np.full((side, side, 3), 114, np.uint8), np.ones(2))
+        response = networks.compare(template, np.full((side, side, 3), 114, np.uint8), np.ones(2))
     except SiameseError as error:
         raise SiameseError(f"head: {head}: {error}") from error
     except HalfError as error:
         takes = f"features of {_shape(template)} as input1 and of the search crop as input2"
         raise SiameseError(f"head: {head}: does not run on {takes}{swapped} {error}") from error
-    if not (np.isfinite(found.probabilities).all() and (np.abs(found.sides) < 1e6).all()):
+    if not (np.isfinite(response.probabilities).all() and (np.abs(response.sides) < 1e6).all()):
         raise SiameseError(f"head: {head}: its outputs are not finite numbers")
-    return len(found.probabilities)
+    return len(response.probabilities)
 
 
 SECONDS = 120.0
@@ -297,15 +299,15 @@ _announce: list[Callable[[str], object]] = []
 
 
 def check_apart(
-    load: Callable[..., object], files: Sequence[str], fault: Callable[[str], Exception], **given: Any
+    load: Callable[..., object], files: Sequence[str], fault: Callable[[str], Exception], **arguments: Any
 ) -> None:
-    """Call `load` with what is `given`, values of JSON, in another process, and refuse what ends that.
+    """Call `load` with `arguments`, values of JSON, in another process, and refuse what ends that.
 
     Args:
         load: a function of a module that loads and runs networks; what it raises itself is no crash.
         files: paths of the networks.
         fault: makes of a text the exception to raise.
-        given: arguments of `load`.
+        arguments: of `load`.
 
     Raises what `fault` makes: the process crashed, or took longer than `SECONDS`.
     """
@@ -313,13 +315,15 @@ def check_apart(
         digests = {path: sha256(Path(path).read_bytes()).hexdigest() for path in files}
     except OSError:
         return  # `load` says so
-    by_content = [digests.get(value, value) if isinstance(value, str) else value for value in given.values()]
-    asked = [load.__module__, load.__qualname__, by_content, list(digests.values()), _versions()]
-    key = sha256(json.dumps(asked).encode()).hexdigest()
-    kept = _folder() / f"{key[:40]}.tried"
-    if key in _tried or kept.exists():
+    by_content = [
+        digests.get(value, value) if isinstance(value, str) else value for value in arguments.values()
+    ]
+    request = [load.__module__, load.__qualname__, by_content, list(digests.values()), _versions()]
+    key = sha256(json.dumps(request).encode()).hexdigest()
+    marker = _folder() / f"{key[:40]}.tried"
+    if key in _tried or marker.exists():
         return
-    ended, file = _try(json.dumps([load.__module__, load.__qualname__, given]))
+    ended, file = _try(json.dumps([load.__module__, load.__qualname__, arguments]))
     if ended is not None:
         raise fault(
             f"{file or ', '.join(files)}: {ended} where the network was tried: the file is damaged, or this "
@@ -327,8 +331,8 @@ def check_apart(
         )
     _tried.add(key)
     with suppress(OSError):
-        kept.parent.mkdir(exist_ok=True)
-        kept.touch()
+        marker.parent.mkdir(exist_ok=True)
+        marker.touch()
 
 
 def working_on(path: str) -> None:
@@ -343,53 +347,53 @@ def serve() -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    module, name, given = json.loads(sys.argv[-1])
+    module, name, arguments = json.loads(sys.argv[-1])
     _announce.append(lambda path: _say(file=path))
     load = getattr(import_module(module), name)
     _say(begins=True)
     try:
-        load(**given)
+        load(**arguments)
     except Exception as error:
         if not type(error).__module__.startswith("bayesnet_track"):
             _say(raised=f"{type(error).__name__}: {error}"[:200])
     os._exit(0)  # what a damaged network left behind may crash when it is taken down
 
 
-def _say(**what: object) -> None:
-    sys.stdout.write(json.dumps(what) + "\n")
+def _say(**message: object) -> None:
+    sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
 
 
-def _try(asked: str) -> tuple[str | None, str]:
+def _try(request: str) -> tuple[str | None, str]:
     """End of the other process in words, None where it went well; the last file it named."""
     environment = {**os.environ, "MALLOC_PERTURB_": "165"}  # what is read after it was freed is seen
-    held, lifeline = tie()
+    descriptor, lifeline = tie()
     try:
-        done = subprocess.run(
-            python(CODE, asked, descriptor=held),
+        process = subprocess.run(
+            python(CODE, request, descriptor=descriptor),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            pass_fds=() if held < 0 else (held,),
+            pass_fds=() if descriptor < 0 else (descriptor,),
             env=environment,
             timeout=SECONDS,
         )
-        code: int | None = done.returncode
-        output = done.stdout
+        code: int | None = process.returncode
+        output = process.stdout
     except subprocess.TimeoutExpired as error:
         code, output = None, error.stdout or b""
     except OSError:  # no process can be started: then it is loaded as it is
         return None, ""
     finally:
-        cut(held, lifeline)
-    said: dict[str, Any] = {}
+        cut(descriptor, lifeline)
+    report: dict[str, Any] = {}
     for line in output.decode("utf-8", "replace").splitlines():
         with suppress(ValueError):
-            said |= json.loads(line)
-    file = str(said.get("file", ""))
-    if "raised" in said:
-        return f"{said['raised']}, raised", file
-    if code == 0 or "begins" not in said:  # it did not come to the network
+            report |= json.loads(line)
+    file = str(report.get("file", ""))
+    if "raised" in report:
+        return f"{report['raised']}, raised", file
+    if code == 0 or "begins" not in report:  # it did not come to the network
         return None, file
     if code is None:
         return f"no end after {SECONDS:g} s", file
@@ -399,17 +403,17 @@ def _try(asked: str) -> tuple[str | None, str]:
 def _versions() -> list[str]:
     import cv2
 
-    found = [platform.machine(), platform.python_version(), np.__version__, cv2.__version__]
+    versions = [platform.machine(), platform.python_version(), np.__version__, cv2.__version__]
     for name in ("bayesnet-track", "onnxruntime"):
         with suppress(PackageNotFoundError):
-            found.append(f"{name} {version(name)}")
-    return found
+            versions.append(f"{name} {version(name)}")
+    return versions
 
 
 def _folder() -> Path:
     """Folder of the compiled kernels, too."""
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    return Path(given) if given else Path(__file__).parent / "__pycache__"
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    return Path(folder) if folder else Path(__file__).parent / "__pycache__"
 
 
 def reason_of(error: Exception) -> str:

@@ -69,16 +69,21 @@ class Correlation:
         """Thesis eq. 3.5, to a fraction of a pixel by a parabola."""
         from bayesnet_track.vision.kernels.disparity_kernels import correlate
 
-        found = np.empty((max(region.y1 - region.y0, 0), max(region.x1 - region.x0, 0)), dtype=np.float32)
+        disparities = np.empty(
+            (max(region.y1 - region.y0, 0), max(region.x1 - region.x0, 0)), dtype=np.float32
+        )
         if region.is_empty:
-            return found
+            return disparities
         half = self.window_px // 2
         height, width = left.shape[:2]
         rows = (max(region.y0 - half, 0), min(region.y1 + half, height))
         # One disparity more on either side is looked at, to see whether the best lies beyond the range.
-        one = (max(region.x0 - half, 0), min(region.x1 + half, width))
-        other = (max(one[0] - high_px - 1, 0), min(max(one[1] - low_px + 1, 0), width))
-        columns = (min(one[0], other[0]), max(one[1], other[1]))
+        left_columns = (max(region.x0 - half, 0), min(region.x1 + half, width))
+        right_columns = (
+            max(left_columns[0] - high_px - 1, 0),
+            min(max(left_columns[1] - low_px + 1, 0), width),
+        )
+        columns = (min(left_columns[0], right_columns[0]), max(left_columns[1], right_columns[1]))
         crop = Region(columns[0], rows[0], columns[1], rows[1])
         correlate(
             laplacian_of_gaussian(left, crop, self.sd_px),
@@ -92,9 +97,9 @@ class Correlation:
             self.min_correlation,
             self.min_difference,
             self.separation_px,
-            found,
+            disparities,
         )
-        return found
+        return disparities
 
 
 @dataclass(frozen=True)
@@ -131,14 +136,14 @@ class SemiGlobal:
         )
         # OpenCV leaves out as many columns on the left as it searches: they get a border to search in.
         border = max(low_px, 0) + count + self.window_px
-        one, other = (
+        left_image, right_image = (
             cv2.copyMakeBorder(gray(eye), 0, 0, border, 0, cv2.BORDER_REPLICATE) for eye in (left, right)
         )
-        steps = matcher.compute(one, other)[:, border:]
-        found = steps.astype(np.float32) / np.float32(16)
-        beyond = np.arange(found.shape[1]) - found < 0
-        found[(steps < low_px * 16) | (steps > high_px * 16) | beyond] = np.nan
-        return np.ascontiguousarray(region.of(found))
+        steps = matcher.compute(left_image, right_image)[:, border:]
+        disparities = steps.astype(np.float32) / np.float32(16)
+        beyond = np.arange(disparities.shape[1]) - disparities < 0
+        disparities[(steps < low_px * 16) | (steps > high_px * 16) | beyond] = np.nan
+        return np.ascontiguousarray(region.of(disparities))
 
 
 @dataclass(frozen=True)
@@ -166,13 +171,13 @@ class Range:
     def keeps(self, points: Points) -> NDArray[np.bool_]:
         """(rows, columns) True for points (rows, columns, 3) in range and off the floor."""
         depth = points[..., 2]
-        kept = (depth >= np.float32(self.min_depth_m)) & (depth <= np.float32(self.max_depth_m))
+        in_range = (depth >= np.float32(self.min_depth_m)) & (depth <= np.float32(self.max_depth_m))
         if self.camera_height_m is not None:
             pitch = math.radians(self.pitch_deg)
             fall = np.float32(math.cos(pitch)) * points[..., 1] + np.float32(math.sin(pitch)) * depth
             elevation = np.float32(self.camera_height_m) - fall
-            kept &= (elevation >= self.min_elevation_m) & (elevation <= self.max_elevation_m)
-        return kept
+            in_range &= (elevation >= self.min_elevation_m) & (elevation <= self.max_elevation_m)
+        return in_range
 
 
 @dataclass(frozen=True)
@@ -237,8 +242,8 @@ def all_points(frame: Frame, matcher: Matcher, reach: Range, region: Region) -> 
             low = math.floor(geometry.disparity_of(math.inf))
             high = min(math.ceil(geometry.disparity_of(reach.min_depth_m)), frame.width - 1)
             low = min(low, high)
-            found = matcher.disparity(frame.image, image, low, high, region)
-            return geometry.points(found, region.x0, region.y0)
+            disparities = matcher.disparity(frame.image, image, low, high, region)
+            return geometry.points(disparities, region.x0, region.y0)
     raise NoDepth
 
 
@@ -266,14 +271,14 @@ def laplacian_of_gaussian(image: NDArray[np.uint8], region: Region, sd_px: float
 
 def _log_kernels(sd_px: float) -> tuple[Array, Array, float]:
     """Gaussian, its second derivative (both whole numbers), and what turns their sums into 1/8 gray level."""
-    at = np.arange(-LOG_REACH, LOG_REACH + 1)
-    gauss = np.exp(-0.5 * (at / sd_px) ** 2)
+    offsets = np.arange(-LOG_REACH, LOG_REACH + 1)
+    gauss = np.exp(-0.5 * (offsets / sd_px) ** 2)
     smooth = np.rint(100.0 * gauss / gauss.sum())
-    bend = gauss * (1.0 - (at / sd_px) ** 2)
+    bend = gauss * (1.0 - (offsets / sd_px) ** 2)
     bend = np.rint(80.0 * bend / np.abs(bend).sum())
     bend[LOG_REACH] -= bend.sum()  # no answer to a constant
-    whole = np.outer(smooth, bend) + np.outer(bend, smooth)
-    scale = GRAY_STEPS / whole[whole > 0].sum()
+    kernel = np.outer(smooth, bend) + np.outer(bend, smooth)
+    scale = GRAY_STEPS / kernel[kernel > 0].sum()
     return smooth.astype(np.float32), bend.astype(np.float32), float(scale)
 
 

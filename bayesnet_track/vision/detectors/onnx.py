@@ -55,13 +55,13 @@ def rows(output: Floats) -> Found:
 
 def yolo(output: Floats) -> Found:
     """(N, 4 + C) x, y, w, h and the score of each class, or its transpose."""
-    return _best(_table(output, 5, None, "rows of x, y, w, h and a score for each class"))
+    return _best_class(_table(output, 5, None, "rows of x, y, w, h and a score for each class"))
 
 
 def yolo_objectness(output: Floats) -> Found:
     """(N, 5 + C) x, y, w, h, score of any object, and that of each class given an object."""
     table = _table(output, 6, None, "rows of x, y, w, h, objectness and a score for each class")
-    return _best(np.concatenate([table[:, :4], table[:, 5:] * table[:, 4:5]], axis=1))
+    return _best_class(np.concatenate([table[:, :4], table[:, 5:] * table[:, 4:5]], axis=1))
 
 
 STRIDES = (8, 16, 32)
@@ -134,7 +134,7 @@ def fitting(outputs: Sequence[Floats], layout: str) -> Found:
     )
 
 
-def _best(table: Floats) -> Found:
+def _best_class(table: Floats) -> Found:
     classes = table[:, 4:].argmax(axis=1)
     scores = table[np.arange(len(table)), 4 + classes]
     return Found(table[:, :4], scores, classes.astype(np.int64), table.shape[1] - 4)
@@ -215,7 +215,7 @@ class Onnx:
         """Detections of the network; raises DetectorError where its output is not of the layout."""
         frame, settings = frames.current, self.parameters
         shrink, rim, blob = self._input(frame.image)
-        raw = self._found(self.forward(blob))
+        raw = self._read_outputs(self.forward(blob))
         boxes = raw.boxes.copy()
         if settings.units == "share":
             boxes *= np.tile([settings.input_width, settings.input_height], 2)
@@ -260,7 +260,7 @@ class Onnx:
         """Run the network on a black frame; raises DetectorError where it and the parameters do not fit."""
         settings = self.parameters
         black = np.zeros((1, 3, settings.input_height, settings.input_width), np.float32)
-        classes, names = self._found(self.forward(black)).distinguished, settings.classes
+        classes, names = self._read_outputs(self.forward(black)).distinguished, settings.classes
         if classes is not None and names and len(names) != classes:
             raise DetectorError(
                 f"{settings.model}: gives scores for {classes} classes, and `classes` names {len(names)}; a "
@@ -273,7 +273,7 @@ class Onnx:
                 numbers = "" if classes is None else f"; numbers 0 to {classes - 1}"
                 raise DetectorError(f"`keep` has {label!r}; names of classes: {class_names[:300]}{numbers}")
 
-    def _found(self, outputs: Any) -> Found:
+    def _read_outputs(self, outputs: Any) -> Found:
         settings = self.parameters
         try:
             arrays = [np.asarray(output, dtype=np.float64) for output in outputs]

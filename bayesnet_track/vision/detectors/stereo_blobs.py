@@ -72,22 +72,22 @@ def detect_stereo_blobs(frame: Frame, settings: StereoBlobSettings | None = None
 
     if frame.depth is None:
         raise NoDepth
-    wanted = settings or StereoBlobSettings()
-    points = all_points(frame, wanted.matcher, wanted.range, Region(0, 0, frame.width, frame.height))
-    points[~wanted.range.keeps(points)] = np.nan
+    parameters = settings or StereoBlobSettings()
+    points = all_points(frame, parameters.matcher, parameters.range, Region(0, 0, frame.width, frame.height))
+    points[~parameters.range.keeps(points)] = np.nan
     labels = np.empty(points.shape[:2], dtype=np.int32)
     depth = np.ascontiguousarray(points[..., 2])
-    count = label_regions(depth, wanted.range.step_share, wanted.range.min_pixels, labels)
+    count = label_regions(depth, parameters.range.step_share, parameters.range.min_pixels, labels)
     rows = np.zeros((count, 8))
     for number, window in enumerate(find_objects(labels, count)):
-        inside = labels[window] == number + 1
-        low, high = (edge(points[window][inside], axis=0) for edge in (np.min, np.max))
-        top, left, (tall, wide) = window[0].start, window[1].start, inside.shape
+        blob = labels[window] == number + 1
+        low, high = (edge(points[window][blob], axis=0) for edge in (np.min, np.max))
+        top, left, (tall, wide) = window[0].start, window[1].start, blob.shape
         box = (left + (wide - 1) / 2, top + (tall - 1) / 2, wide, tall)
-        rows[number] = (*box, inside.mean(), depth[window][inside].mean(), *(high - low)[:2])
+        rows[number] = (*box, blob.mean(), depth[window][blob].mean(), *(high - low)[:2])
     height = rows[:, 7]
-    rows = rows[(height >= wanted.min_height_m) & (height <= wanted.max_height_m)]
-    rows = rows[np.argsort(-rows[:, 4], kind="stable")][: wanted.max_blobs]
+    rows = rows[(height >= parameters.min_height_m) & (height <= parameters.max_height_m)]
+    rows = rows[np.argsort(-rows[:, 4], kind="stable")][: parameters.max_blobs]
     return StereoBlobs(rows[:, :4], rows[:, 4], rows[:, 5], rows[:, 6], rows[:, 7])
 
 
@@ -136,9 +136,9 @@ class StereoBlobDetector:
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections, DetectorState]:
         """The blobs, scored by the share of the box that their points fill; raises NoDepth."""
-        found = detect_stereo_blobs(frames.current, self.settings)
-        boxes = np.asarray(found.boxes, dtype=np.float64)
-        return select(boxes, found.scores, frames.current, self.parameters), state
+        blobs = detect_stereo_blobs(frames.current, self.settings)
+        boxes = np.asarray(blobs.boxes, dtype=np.float64)
+        return select(boxes, blobs.scores, frames.current, self.parameters), state
 
 
 def _make(parameters: StereoBlobsParameters) -> Detector:

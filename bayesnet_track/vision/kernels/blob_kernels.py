@@ -217,7 +217,7 @@ def match_blobs(
 def _match(
     ours: Floats,
     theirs: Floats,
-    others: int,
+    count: int,
     sd_offset: float,
     sd_hue_deg: float,
     limit: float,
@@ -226,11 +226,11 @@ def _match(
     penalty: Floats,
 ) -> None:
     by_offset, by_hue = 0.5 / sd_offset**2, 0.5 / sd_hue_deg**2
-    for j in range(others):
+    for j in range(count):
         penalty[j] = 0.0
     for i in range(ours.shape[0]):
         lowest, to = limit, -1
-        for j in range(others):
+        for j in range(count):
             x, y = ours[i, 0] - theirs[j, 0], ours[i, 1] - theirs[j, 1]
             hue = abs(ours[i, 2] - theirs[j, 2])
             hue = min(hue, 360.0 - hue)
@@ -245,7 +245,7 @@ def _match(
 @compiled
 def blob_costs(
     blobs: Floats,
-    found: NDArray[np.int64],
+    counts: NDArray[np.int64],
     reference: Floats,
     sd_offset: float,
     sd_hue_deg: float,
@@ -258,29 +258,29 @@ def blob_costs(
 
     Args:
         blobs: (N, M, 4) blobs of each box.
-        found: (N,) how many of them there are.
+        counts: (N,) how many of them there are.
         reference: (K, 4) blobs of the reference, C-contiguous.
         sd_offset: see `match_blobs`.
         sd_hue_deg: see `match_blobs`.
         unmatched: cost of a blob without a match.
     """
-    size, most = reference.shape[0], blobs.shape[1]
+    size, capacity = reference.shape[0], blobs.shape[1]
     match, cost = np.empty(size, np.int64), np.empty(size)
-    used = np.empty(most)
+    penalty = np.empty(capacity)
     costs = np.empty(blobs.shape[0])
-    whole = 0.0
+    weight = 0.0
     for k in range(size):
-        whole += reference[k, 3]
+        weight += reference[k, 3]
     if size == 0:
-        whole = 1.0
+        weight = 1.0
     for n in range(blobs.shape[0]):
-        _match(reference, blobs[n], found[n], sd_offset, sd_hue_deg, unmatched, match, cost, used)
+        _match(reference, blobs[n], counts[n], sd_offset, sd_hue_deg, unmatched, match, cost, penalty)
         total = 0.0
         for k in range(size):
             total += reference[k, 3] * cost[k]
-        for j in range(found[n]):
-            total += unmatched * blobs[n, j, 3] * (used[j] == 0.0)
-        costs[n] = total / whole
+        for j in range(counts[n]):
+            total += unmatched * blobs[n, j, 3] * (penalty[j] == 0.0)
+        costs[n] = total / weight
     return costs
 
 
@@ -310,10 +310,10 @@ def blob_features(
         layer: a third of a layer's depth, as a logarithm.
     """
     rows, columns = points.shape[0], points.shape[1]
-    most = int(np.ceil(np.log(FURTHEST_M / NEAREST_M) / layer)) + 3
-    counts = np.zeros(most, np.int64)
+    layers = int(np.ceil(np.log(FURTHEST_M / NEAREST_M) / layer)) + 3
+    counts = np.zeros(layers, np.int64)
     places = np.empty(cells * cells, np.int64)
-    found = np.empty((cells * cells, 3))
+    samples = np.empty((cells * cells, 3))
     side = 12.0 / (1.0 - 1.0 / cells**2)  # of evenly spaced samples: width^2 / variance
     for n in range(boxes.shape[0]):
         features[n] = 0.0
@@ -336,32 +336,32 @@ def blob_features(
                 place = int(np.log(depth / NEAREST_M) / layer) + 1
                 counts[place] += 1
                 places[valid] = place
-                found[valid, 0], found[valid, 1], found[valid, 2] = point[0], point[1], depth
+                samples[valid, 0], samples[valid, 1], samples[valid, 2] = point[0], point[1], depth
                 valid += 1
         if valid == 0:
             continue
-        best, size = 0, 0
+        fullest, size = 0, 0
         for k in range(valid):
             place = places[k]
-            here = counts[place - 1] + counts[place] + counts[place + 1]
-            if here > size or (here == size and place < best):
-                best, size = place, here
+            layer_count = counts[place - 1] + counts[place] + counts[place + 1]
+            if layer_count > size or (layer_count == size and place < fullest):
+                fullest, size = place, layer_count
         for k in range(valid):
             counts[places[k]] = 0
         x, y, z, all_z = 0.0, 0.0, 0.0, 0.0
         for k in range(valid):
-            all_z += found[k, 2]
-            if abs(places[k] - best) <= 1:
-                x += found[k, 0]
-                y += found[k, 1]
-                z += found[k, 2]
+            all_z += samples[k, 2]
+            if abs(places[k] - fullest) <= 1:
+                x += samples[k, 0]
+                y += samples[k, 1]
+                z += samples[k, 2]
         x, y, z, all_z = x / size, y / size, z / size, all_z / valid
         xx, yy, zz = 0.0, 0.0, 0.0
         for k in range(valid):
-            zz += (found[k, 2] - all_z) ** 2
-            if abs(places[k] - best) <= 1:
-                xx += (found[k, 0] - x) ** 2
-                yy += (found[k, 1] - y) ** 2
+            zz += (samples[k, 2] - all_z) ** 2
+            if abs(places[k] - fullest) <= 1:
+                xx += (samples[k, 0] - x) ** 2
+                yy += (samples[k, 1] - y) ** 2
         features[n, SHARE] = size / cells**2
         features[n, DEPTH] = z
         features[n, SPREAD] = np.sqrt(zz / valid)

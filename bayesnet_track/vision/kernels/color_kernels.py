@@ -124,13 +124,13 @@ def count_cells(image: Bytes, layout: Words, boxes: Floats, counts: Floats) -> N
         bounds[k, 2] = int(np.floor(min(max(y - half_height + 0.5, 0.0), float(height))))
         bounds[k, 3] = int(np.ceil(min(max(y + half_height + 0.5, 0.0), float(height))))
     bounds[size] = 0
-    first, last = bounds[0, 0], bounds[0, 1]
-    cells = np.empty(last - first, np.uint16)
+    first, last_column = bounds[0, 0], bounds[0, 1]
+    cells = np.empty(last_column - first, np.uint16)
     # Each pixel is counted in the smallest box that has it. Four counts each: the next pixels are often of
     # the same cell, and would wait for this one.
     partial = np.zeros((*counts.shape, 4), np.int32)
     for y in range(bounds[0, 2], bounds[0, 3]):
-        fill_cells(image[y, first:last].reshape(3 * (last - first)), layout, cells)
+        fill_cells(image[y, first:last_column].reshape(3 * (last_column - first)), layout, cells)
         for k in range(size):
             if not bounds[k, 2] <= y < bounds[k, 3]:
                 break
@@ -328,10 +328,10 @@ def update_mixture(
                 weight = float(weights[y, x, k])
                 if weight <= 0.0:
                     break
-                away = 0.0
+                squared_error = 0.0
                 for c in range(3):
-                    away += (value[c] - min(gain * means[y, x, k, c], 255.0)) ** 2
-                distance = away / variances[y, x, k]
+                    squared_error += (value[c] - min(gain * means[y, x, k, c], 255.0)) ** 2
+                distance = squared_error / variances[y, x, k]
                 if weight_so_far < background_share:
                     nearest = min(nearest, distance)
                 if distance < match:

@@ -19,30 +19,30 @@ from bayesnet_track.vision.kernels.flow_kernels import FLOW_UNITS
 
 @compiled
 def there_and_back(
-    there: Singles,
+    forward: Singles,
     back: Singles,
     left: int,
     top: int,
     scores: Floats,
     reach: float,
     agree: float,
-    out: Singles,
+    target: Singles,
 ) -> None:
-    """Fill `out` (h, w, 3) with dx, dy, valid: how each pixel moved to where it is; 0, 0, 0 if not valid.
+    """Fill `target` (h, w, 3) with dx, dy, valid: how each pixel moved to where it is; 0, 0, 0 if not valid.
 
     Valid where `scores` (h, w) is above 0, the pixel moved by no more than `reach` px in x and in y and did
     not come from outside `back`, and going there and back ends within `agree` px of where it began.
 
     Args:
-        there: (H, W, 2) flow from the current frame to the previous one; back: that of the other direction.
-        left, top: where in these `out` begins.
+        forward: (H, W, 2) flow from the current frame to the previous one; back: that of the other direction.
+        left, top: column and row of these at which `target` begins.
     """
     height, width = back.shape[:2]
-    for j in range(out.shape[0]):
-        for i in range(out.shape[1]):
-            dx, dy = float(there[top + j, left + i, 0]), float(there[top + j, left + i, 1])
+    for j in range(target.shape[0]):
+        for i in range(target.shape[1]):
+            dx, dy = float(forward[top + j, left + i, 0]), float(forward[top + j, left + i, 1])
             x, y = left + i + dx, top + j + dy
-            out[j, i, :] = np.float32(0.0)
+            target[j, i, :] = np.float32(0.0)
             if scores[j, i] <= 0.0 or not (abs(dx) <= reach and abs(dy) <= reach):
                 continue
             if not (0.0 <= x <= width - 1 and 0.0 <= y <= height - 1):
@@ -56,7 +56,8 @@ def there_and_back(
                 back[y0, x0, 1], back[y0, x0 + 1, 1], back[y0 + 1, x0, 1], back[y0 + 1, x0 + 1, 1], fx, fy
             )
             if off_x * off_x + off_y * off_y <= agree * agree:
-                out[j, i, 0], out[j, i, 1], out[j, i, 2] = np.float32(-dx), np.float32(-dy), np.float32(1.0)
+                target[j, i, 0], target[j, i, 1] = np.float32(-dx), np.float32(-dy)
+                target[j, i, 2] = np.float32(1.0)
 
 
 @compiled
@@ -67,14 +68,14 @@ def _between(a: float, b: float, c: float, d: float, fx: float, fy: float) -> fl
 
 
 @compiled
-def valid_vectors(field: Singles, left: int, top: int, found: Floats) -> int:
-    """Fill `found` (h w, 4) with x, y, dx, dy of a field's (h, w, 3) valid vectors; returns their number."""
+def valid_vectors(field: Singles, left: int, top: int, vectors: Floats) -> int:
+    """Fill `vectors` (h w, 4) with x, y, dx, dy of the valid vectors of `field` (h, w, 3); their number."""
     count = 0
     for j in range(field.shape[0]):
         for i in range(field.shape[1]):
             if field[j, i, 2] > 0:
-                found[count, 0], found[count, 1] = left + i, top + j
-                found[count, 2], found[count, 3] = field[j, i, 0], field[j, i, 1]
+                vectors[count, 0], vectors[count, 1] = left + i, top + j
+                vectors[count, 2], vectors[count, 3] = field[j, i, 0], field[j, i, 1]
                 count += 1
     return count
 
@@ -136,14 +137,14 @@ def best_path(costs: Singles, penalty: float, back: Steps, path: Ints) -> float:
     weight = np.float32(penalty)
     for i in range(1, length):
         row, step = costs[i], back[i]
-        lower, same, upper, new = total, total[1:], total[2:], following[1:]
+        lower, same, upper, updated = total, total[1:], total[2:], following[1:]
         for d in range(count):
-            least, way = same[d], 0
-            if lower[d] + weight < least:
-                least, way = lower[d] + weight, -1
-            if upper[d] + weight < least:
-                least, way = upper[d] + weight, 1
-            new[d] = least + row[d]
+            lowest, way = same[d], 0
+            if lower[d] + weight < lowest:
+                lowest, way = lower[d] + weight, -1
+            if upper[d] + weight < lowest:
+                lowest, way = upper[d] + weight, 1
+            updated[d] = lowest + row[d]
             step[d] = way
         total, following = following, total
     end = 0
@@ -158,64 +159,70 @@ def best_path(costs: Singles, penalty: float, back: Steps, path: Ints) -> float:
 
 @compiled
 def _mismatches(
-    source: Singles, target: Singles, along: Singles, across: Singles, steps: int, step: float, costs: Singles
+    source: Singles,
+    target: Singles,
+    flow_x: Singles,
+    flow_y: Singles,
+    steps: int,
+    step: float,
+    costs: Singles,
 ) -> None:
     """Fill `costs` (h, w, D): how unlike each pixel is the target's, for each shift of it along its row.
 
-    Candidate d is a shift of `along` + (d - steps) * step, and `across` to another row; edge pixels repeat.
+    Candidate d is a shift of `flow_x` + (d - steps) * step, and `flow_y` to another row; edge pixels repeat.
     """
     height, width = source.shape
     last_x, last_y = np.float32(width - 1), np.float32(height - 1)
     stride = np.float32(step)
     for j in range(height):
         for i in range(width):
-            y = min(max(np.float32(j) + across[j, i], np.float32(0.0)), last_y)
+            y = min(max(np.float32(j) + flow_y[j, i], np.float32(0.0)), last_y)
             top = min(int(y), height - 2)
             fy = y - np.float32(top)
-            above, below, here, row = target[top], target[top + 1], source[j, i], costs[j, i]
-            start = np.float32(i) + along[j, i] - np.float32(steps) * stride
+            top_row, next_row, pixel, row = target[top], target[top + 1], source[j, i], costs[j, i]
+            start = np.float32(i) + flow_x[j, i] - np.float32(steps) * stride
             for d in range(2 * steps + 1):
                 x = min(max(start + np.float32(d) * stride, np.float32(0.0)), last_x)
                 left = min(int(x), width - 2)
                 fx = x - np.float32(left)
-                upper = above[left] + fx * (above[left + 1] - above[left])
-                lower = below[left] + fx * (below[left + 1] - below[left])
-                row[d] = min(abs(here - upper - fy * (lower - upper)), np.float32(MOST_GRAY))
+                upper = top_row[left] + fx * (top_row[left + 1] - top_row[left])
+                lower = next_row[left] + fx * (next_row[left + 1] - next_row[left])
+                row[d] = min(abs(pixel - upper - fy * (lower - upper)), np.float32(MOST_GRAY))
 
 
 @compiled
 def odp_pass(
     source: Singles,
     target: Singles,
-    along: Singles,
-    across: Singles,
+    flow_x: Singles,
+    flow_y: Singles,
     width: int,
     steps: int,
     step: float,
     penalty: float,
 ) -> None:
-    """Align horizontal strips and add what they moved to `along` (h, w), px; `across` is the flow in y.
+    """Align horizontal strips and add what they moved to `flow_x` (h, w), px; `flow_y` is the flow in y.
 
     Strips are `width` rows wide (odd) and half as far apart; the flow between their middle rows is
     interpolated. A shift changes by at most `step` from one column to the next, so that the order of
     pixels is kept (step <= 1).
 
     Args:
-        source, target: (h, w) brightness, at least 2 x 2; the target looks at (x + along, y + across)
+        source, target: (h, w) brightness, at least 2 x 2; the target looks at (x + flow_x, y + flow_y)
             like the source at (x, y).
         steps, step: shifts of up to `steps` times `step` px, either way, are looked for.
         penalty: cost of a change of the shift by one pixel, gray levels.
     """
     height, length = source.shape
-    count, half, apart = 2 * steps + 1, width // 2, max(width // 2, 1)
+    count, half, spacing = 2 * steps + 1, width // 2, max(width // 2, 1)
     costs = np.empty((height, length, count), np.float32)
-    _mismatches(source, target, along, across, steps, step, costs)
-    strips = (height - 1) // apart + 1
-    found = np.empty((strips, length), np.float32)
+    _mismatches(source, target, flow_x, flow_y, steps, step, costs)
+    strips = (height - 1) // spacing + 1
+    shifts = np.empty((strips, length), np.float32)
     joined = np.empty((length, count), np.float32)
     back, path = np.empty((length, count), np.int8), np.empty(length, np.int64)
     for k in range(strips):
-        first, past = max(k * apart - half, 0), min(k * apart + half + 1, height)
+        first, past = max(k * spacing - half, 0), min(k * spacing + half + 1, height)
         for d in range(count):
             joined[:, d] = np.float32(PULL_GRAY * step * abs(d - steps) * (past - first))
         for j in range(first, past):
@@ -223,18 +230,18 @@ def odp_pass(
         joined *= np.float32(1.0 / (past - first))
         best_path(joined, penalty * step, back, path)
         for i in range(length):
-            found[k, i] = np.float32((path[i] - steps) * step)
+            shifts[k, i] = np.float32((path[i] - steps) * step)
     for j in range(height):
-        upper = min(j // apart, strips - 1)
+        upper = min(j // spacing, strips - 1)
         lower = min(upper + 1, strips - 1)
-        weight = np.float32((j - upper * apart) / apart)
+        weight = np.float32((j - upper * spacing) / spacing)
         for i in range(length):
-            along[j, i] += found[upper, i] + weight * (found[lower, i] - found[upper, i])
+            flow_x[j, i] += shifts[upper, i] + weight * (shifts[lower, i] - shifts[upper, i])
 
 
 @compiled
 def match_patches(
-    image: Bytes, origin: Ints, points: Ints, patches: Floats, across: Ints, down: Ints, squares: Floats
+    image: Bytes, origin: Ints, points: Ints, patches: Floats, shifts_x: Ints, shifts_y: Ints, squares: Floats
 ) -> None:
     """Fill `squares` (N, K, K) with mean squared differences of `patches` (N, P, P) to the image.
 
@@ -245,16 +252,16 @@ def match_patches(
     half = side // 2
     rows, columns = image.shape
     for n in range(points.shape[0]):
-        for j in range(down.shape[0]):
-            top = points[n, 1] + down[j] - origin[1] - half
-            for i in range(across.shape[0]):
-                left = points[n, 0] + across[i] - origin[0] - half
+        for j in range(shifts_y.shape[0]):
+            top = points[n, 1] + shifts_y[j] - origin[1] - half
+            for i in range(shifts_x.shape[0]):
+                left = points[n, 0] + shifts_x[i] - origin[0] - half
                 if top < 0 or left < 0 or top + side > rows or left + side > columns:
                     squares[n, j, i] = np.inf
                     continue
                 total = 0.0
                 for y in range(side):
                     for x in range(side):
-                        away = patches[n, y, x] - np.float64(image[top + y, left + x])
-                        total += away * away
+                        difference = patches[n, y, x] - np.float64(image[top + y, left + x])
+                        total += difference * difference
                 squares[n, j, i] = total / (side * side)

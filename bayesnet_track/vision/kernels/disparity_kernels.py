@@ -90,12 +90,12 @@ def correlate(
         return
     wide = x_last - x_first
     # Sums of products down the window's columns, for every disparity; moved by one row at a time.
-    down = np.zeros((count, wide + side - 1), np.int32)
+    column_sums = np.zeros((count, wide + side - 1), np.int32)
     total = np.zeros(wide, np.int32)
     scores = np.empty((count, wide), np.float32)
     left_sums, right_sums = np.empty(width), np.empty(width)
     left_inverse, right_inverse = np.empty(width), np.empty(width)
-    best, place = np.empty(wide, np.float32), np.empty(wide, np.int32)
+    best_scores, place = np.empty(wide, np.float32), np.empty(wide, np.int32)
     limit, rivals = np.empty(wide, np.float32), np.empty(wide, np.int32)
     shift = x_first - half
     for y in range(y_first, y_last):
@@ -103,7 +103,7 @@ def correlate(
         _window_sums(right, y - half, half, right_sums, right_inverse)
         for k in range(count):
             d = low - 1 + k
-            sums, row = down[k], scores[k]
+            sums, row = column_sums[k], scores[k]
             # columns of the windows that lie in the right picture too
             begin, end = max(shift, d), min(x_last + half, width + d)
             row[:] = np.nan
@@ -115,43 +115,43 @@ def correlate(
                 for j in range(y - half, y + half + 1):
                     _add_products(part, left[j, begin:end], right[j, begin - d : end - d])
             else:
-                new, old = y + half, y - half - 1
-                _add_products(part, left[new, begin:end], right[new, begin - d : end - d])
-                _subtract_products(part, left[old, begin:end], right[old, begin - d : end - d])
+                entering, leaving = y + half, y - half - 1
+                _add_products(part, left[entering, begin:end], right[entering, begin - d : end - d])
+                _subtract_products(part, left[leaving, begin:end], right[leaving, begin - d : end - d])
             _running_sums(sums, side, total)
-            first, last = begin + half, end - half
+            first, stop = begin + half, end - half
             _score(
                 n,
-                total[first - x_first : last - x_first],
-                left_sums[first:last],
-                right_sums[first - d : last - d],
-                left_inverse[first:last],
-                right_inverse[first - d : last - d],
-                row[first - x_first : last - x_first],
+                total[first - x_first : stop - x_first],
+                left_sums[first:stop],
+                right_sums[first - d : stop - d],
+                left_inverse[first:stop],
+                right_inverse[first - d : stop - d],
+                row[first - x_first : stop - x_first],
             )
-        _best(scores, best, place)
-        _limits(best, min_difference, limit)
+        _find_best(scores, best_scores, place)
+        _limits(best_scores, min_difference, limit)
         _count_rivals(scores, place, limit, separation, rivals)
         for i in range(wide):
             inverse = left_inverse[x_first + i]
             if not inverse * n * min_spread <= 1.0 or place[i] <= 0 or place[i] >= count - 1:
                 continue
-            if best[i] < min_correlation or rivals[i] > 0:
+            if best_scores[i] < min_correlation or rivals[i] > 0:
                 continue
-            found = low - 1 + place[i] + _fraction(scores, i, place[i])
-            disparity[y - rows[0], x_first + i - columns[0]] = found
+            match = low - 1 + place[i] + _fraction(scores, i, place[i])
+            disparity[y - rows[0], x_first + i - columns[0]] = match
 
 
 @compiled
-def _add_products(sums: Ints32, one: Shorts, other: Shorts) -> None:
+def _add_products(sums: Ints32, first: Shorts, second: Shorts) -> None:
     for i in range(sums.shape[0]):
-        sums[i] += np.int32(one[i]) * np.int32(other[i])
+        sums[i] += np.int32(first[i]) * np.int32(second[i])
 
 
 @compiled
-def _subtract_products(sums: Ints32, one: Shorts, other: Shorts) -> None:
+def _subtract_products(sums: Ints32, first: Shorts, second: Shorts) -> None:
     for i in range(sums.shape[0]):
-        sums[i] -= np.int32(one[i]) * np.int32(other[i])
+        sums[i] -= np.int32(first[i]) * np.int32(second[i])
 
 
 @compiled
@@ -184,23 +184,23 @@ def _score(
 
 
 @compiled
-def _best(scores: Singles, best: Singles, place: Ints32) -> None:
-    """Fill `best` and `place` with each column's largest score and its row; -1 where there is none."""
-    best[:] = np.float32(-2.0)
+def _find_best(scores: Singles, best_scores: Singles, place: Ints32) -> None:
+    """Fill `best_scores` and `place` with each column's largest score and its row; -1 where there is none."""
+    best_scores[:] = np.float32(-2.0)
     place[:] = -1
     for k in range(scores.shape[0]):
         row = scores[k]
         for i in range(row.shape[0]):
-            is_better = row[i] > best[i]  # never true of NaN
-            best[i] = row[i] if is_better else best[i]
+            is_better = row[i] > best_scores[i]  # never true of NaN
+            best_scores[i] = row[i] if is_better else best_scores[i]
             place[i] = np.int32(k) if is_better else place[i]
 
 
 @compiled
-def _limits(best: Singles, min_difference: float, limit: Singles) -> None:
+def _limits(best_scores: Singles, min_difference: float, limit: Singles) -> None:
     """Fill `limit` with what a rival's score exceeds: (1 - min_difference) best, rounded down."""
-    for i in range(best.shape[0]):
-        top = float(best[i])
+    for i in range(best_scores.shape[0]):
+        top = float(best_scores[i])
         exact = top - min_difference * top
         limit[i] = np.float32(exact)
         if float(limit[i]) > exact:
@@ -215,21 +215,21 @@ def _count_rivals(scores: Singles, place: Ints32, limit: Singles, separation: in
     """
     rivals[:] = 0
     for k in range(1, scores.shape[0] - 1):
-        before, row, after = scores[k - 1], scores[k], scores[k + 1]
-        near, far = np.int32(k - separation), np.int32(k + separation)
+        previous, row, following = scores[k - 1], scores[k], scores[k + 1]
+        low, high = np.int32(k - separation), np.int32(k + separation)
         for i in range(row.shape[0]):
             score = row[i]
-            is_rival = (score > limit[i]) & ((place[i] < near) | (place[i] > far))
-            is_below = (before[i] > score) | (after[i] > score)
+            is_rival = (score > limit[i]) & ((place[i] < low) | (place[i] > high))
+            is_below = (previous[i] > score) | (following[i] > score)
             rivals[i] += np.int32(is_rival & (not is_below))
 
 
 @compiled
-def _fraction(scores: Singles, i: int, best: int) -> float:
+def _fraction(scores: Singles, i: int, peak: int) -> float:
     """Peak of a parabola through the best score and its neighbours, in steps from the best."""
-    before, top, after = float(scores[best - 1, i]), float(scores[best, i]), float(scores[best + 1, i])
-    bend = before - 2.0 * top + after
-    return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    lower, top, upper = float(scores[peak - 1, i]), float(scores[peak, i]), float(scores[peak + 1, i])
+    bend = lower - 2.0 * top + upper
+    return 0.5 * (lower - upper) / bend if bend < 0.0 else 0.0
 
 
 @compiled
@@ -242,35 +242,35 @@ def label_regions(depth: Singles, step: float, min_pixels: int, labels: Ints32) 
     rows, columns = depth.shape
     labels[:] = 0
     stack = np.empty((rows * columns, 2), np.int32)
-    found = 0
+    count = 0
     for y in range(rows):
         for x in range(columns):
             if labels[y, x] != 0 or np.isnan(depth[y, x]):
                 continue
-            found += 1
-            labels[y, x] = found
+            count += 1
+            labels[y, x] = count
             stack[0, 0], stack[0, 1] = y, x
             # `stack` keeps what was visited, so that a small region can be taken back.
             size, next_ = 1, 0
             while next_ < size:
                 b, a = stack[next_, 0], stack[next_, 1]
                 next_ += 1
-                here = depth[b, a]
+                value = depth[b, a]
                 for k in range(4):
                     v = b + (k == 0) - (k == 1)
                     u = a + (k == 2) - (k == 3)
                     if v < 0 or u < 0 or v >= rows or u >= columns or labels[v, u] != 0:
                         continue
-                    there = depth[v, u]
-                    if abs(there - here) <= step * min(there, here):  # never true of NaN
-                        labels[v, u] = found
+                    neighbour = depth[v, u]
+                    if abs(neighbour - value) <= step * min(neighbour, value):  # never true of NaN
+                        labels[v, u] = count
                         stack[size, 0], stack[size, 1] = v, u
                         size += 1
             if size < min_pixels:
                 for k in range(size):
                     labels[stack[k, 0], stack[k, 1]] = -1
-                found -= 1
+                count -= 1
     for y in range(rows):
         for x in range(columns):
             labels[y, x] = max(labels[y, x], 0)
-    return found
+    return count

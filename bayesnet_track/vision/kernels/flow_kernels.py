@@ -74,8 +74,8 @@ def corner_scores(gray: Bytes, threshold: float, scores: Floats) -> None:
 
 
 @compiled
-def lattice_corners(scores: Floats, origin: Ints, low: Ints, high: Ints, spacing: int, found: Ints) -> int:
-    """Fill `found` (cells, 2) with x, y of the best corner of every cell of a lattice; returns their number.
+def lattice_corners(scores: Floats, origin: Ints, low: Ints, high: Ints, spacing: int, corners: Ints) -> int:
+    """Fill `corners` (cells, 2) with x, y of the best corner of every cell of a lattice; their number.
 
     The cells are `spacing` pixels wide, the first at `low` and the last before `high` (x, y in the frame).
     `origin` is the place of the first score; the scores must reach one pixel further than the cells, as far
@@ -85,20 +85,20 @@ def lattice_corners(scores: Floats, origin: Ints, low: Ints, high: Ints, spacing
     count = 0
     for top in range(low[1] - origin[1], high[1] - origin[1], spacing):
         for left in range(low[0] - origin[0], high[0] - origin[0], spacing):
-            best, x, y = 0.0, -1, -1
+            highest, x, y = 0.0, -1, -1
             for j in range(top, min(top + spacing, high[1] - origin[1])):
                 for i in range(left, min(left + spacing, high[0] - origin[0])):
-                    if scores[j, i] > best:
-                        best, x, y = scores[j, i], i, j
+                    if scores[j, i] > highest:
+                        highest, x, y = scores[j, i], i, j
             if x < 0:
                 continue
             peak = True
             for j in range(max(y - 1, 0), min(y + 2, height)):
                 for i in range(max(x - 1, 0), min(x + 2, width)):
-                    peak = peak and scores[j, i] <= best
+                    peak = peak and scores[j, i] <= highest
             if peak:
-                found[count, 0] = origin[0] + x
-                found[count, 1] = origin[1] + y
+                corners[count, 0] = origin[0] + x
+                corners[count, 1] = origin[1] + y
                 count += 1
     return count
 
@@ -152,16 +152,16 @@ def _gradients(
     """
     stride = size + 3
     w00, w01, w10, w11 = _weights(fx, fy)
-    right, down, across = raw[1:], raw[stride:], raw[stride + 1 :]
+    right, next_row, diagonal = raw[1:], raw[stride:], raw[stride + 1 :]
     for k in range((size + 2) * stride):
-        smooth[k] = w00 * raw[k] + w01 * right[k] + w10 * down[k] + w11 * across[k]
-    above, below = smooth[1:], smooth[2 * stride + 1 :]
-    before, centre, after = smooth[stride:], smooth[stride + 1 :], smooth[stride + 2 :]
+        smooth[k] = w00 * raw[k] + w01 * right[k] + w10 * next_row[k] + w11 * diagonal[k]
+    upper, lower = smooth[1:], smooth[2 * stride + 1 :]
+    previous, centre, following = smooth[stride:], smooth[stride + 1 :], smooth[stride + 2 :]
     slope_x, slope_y = slopes[0], slopes[1]
     xx, xy, yy = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for k in range(size * stride):
         half = np.float32(0.5) * mask[k]
-        u, v = half * (after[k] - before[k]), half * (below[k] - above[k])
+        u, v = half * (following[k] - previous[k]), half * (lower[k] - upper[k])
         slope_x[k], slope_y[k], patch[k] = u, v, centre[k]
         xx += u * u
         xy += u * v
@@ -176,14 +176,14 @@ def _mismatch(
     """Sums over the window of (patch - target) times the gradient; the target lies (fx, fy) off `raw`."""
     stride = size + 3
     w00, w01, w10, w11 = _weights(fx, fy)
-    right, down, across = raw[1:], raw[stride:], raw[stride + 1 :]
+    right, next_row, diagonal = raw[1:], raw[stride:], raw[stride + 1 :]
     slope_x, slope_y = slopes[0], slopes[1]
-    bx, by = np.float32(0.0), np.float32(0.0)
+    sum_x, sum_y = np.float32(0.0), np.float32(0.0)
     for k in range(size * stride):
-        error = patch[k] - (w00 * raw[k] + w01 * right[k] + w10 * down[k] + w11 * across[k])
-        bx += error * slope_x[k]
-        by += error * slope_y[k]
-    return float(bx), float(by)
+        error = patch[k] - (w00 * raw[k] + w01 * right[k] + w10 * next_row[k] + w11 * diagonal[k])
+        sum_x += error * slope_x[k]
+        sum_y += error * slope_y[k]
+    return float(sum_x), float(sum_y)
 
 
 @compiled
@@ -224,9 +224,9 @@ def _track_level(
         if step == 0 or pixel_x != whole_x or pixel_y != whole_y:
             whole_x, whole_y = pixel_x, pixel_y
             _copy(target, x + whole_x - half, y + whole_y - half, size + 1, stride, raw)
-        bx, by = _mismatch(raw, at_x - whole_x, at_y - whole_y, size, patch, slopes)
-        step_x = (yy * bx - xy * by) / determinant
-        step_y = (xx * by - xy * bx) / determinant
+        sum_x, sum_y = _mismatch(raw, at_x - whole_x, at_y - whole_y, size, patch, slopes)
+        step_x = (yy * sum_x - xy * sum_y) / determinant
+        step_y = (xx * sum_y - xy * sum_x) / determinant
         flow[0] += step_x
         flow[1] += step_y
         if not (abs(start[0] + flow[0]) <= limit and abs(start[1] + flow[1]) <= limit):
@@ -269,16 +269,16 @@ def track_points(
     mask = np.zeros(window * stride, np.float32)
     for j in range(window):
         mask[j * stride : j * stride + window] = np.float32(1.0)
-    start, there, back = np.zeros(2), np.zeros(2), np.zeros(2)
+    start, flow, back = np.zeros(2), np.zeros(2), np.zeros(2)
     height, width = fine_source.shape
     for n in range(points.shape[0]):
         x, y = points[n, 0] - origin[0], points[n, 1] - origin[1]
         good = True
-        there[:] = 0.0
+        flow[:] = 0.0
         for scale in (4, 2, 1):
             source = coarse_source if scale == 4 else middle_source if scale == 2 else fine_source
             target = coarse_target if scale == 4 else middle_target if scale == 2 else fine_target
-            there *= 1.0 if scale == 4 else 2.0
+            flow *= 1.0 if scale == 4 else 2.0
             start[0], start[1] = (x % scale) / scale, (y % scale) / scale
             good = good and _track_level(
                 source,
@@ -286,15 +286,15 @@ def track_points(
                 x // scale,
                 y // scale,
                 start,
-                there,
+                flow,
                 window,
                 mask,
                 windows,
                 reach / scale + 1.0,
             )
-        flows[n, 0], flows[n, 1] = there[0], there[1]
+        flows[n, 0], flows[n, 1] = flow[0], flow[1]
         valid[n] = 0
-        end_x, end_y = x + there[0], y + there[1]
+        end_x, end_y = x + flow[0], y + flow[1]
         if not (good and -0.5 <= end_x <= width - 0.5 and -0.5 <= end_y <= height - 0.5):
             continue
         back[:] = 0.0
@@ -302,7 +302,7 @@ def track_points(
             source = coarse_source if scale == 4 else middle_source if scale == 2 else fine_source
             target = coarse_target if scale == 4 else middle_target if scale == 2 else fine_target
             back *= 1.0 if scale == 4 else 2.0
-            start[0], start[1] = (x % scale + there[0]) / scale, (y % scale + there[1]) / scale
+            start[0], start[1] = (x % scale + flow[0]) / scale, (y % scale + flow[1]) / scale
             good = good and _track_level(
                 target,
                 source,
@@ -315,7 +315,7 @@ def track_points(
                 windows,
                 reach / scale + 1.0,
             )
-        error_x, error_y = there[0] + back[0], there[1] + back[1]
+        error_x, error_y = flow[0] + back[0], flow[1] + back[1]
         if good and error_x * error_x + error_y * error_y <= agree * agree:
             valid[n] = 1
 
@@ -346,38 +346,41 @@ def flow_in_boxes(points: Floats, boxes: Floats, counts: Floats, means: Floats) 
         x, y, dx, dy = xs[first:past], ys[first:past], dxs[first:past], dys[first:past]
         count, sum_x, sum_y = 0.0, 0.0, 0.0
         for k in range(past - first):
-            inside = (left <= x[k]) & (x[k] <= right) & (top <= y[k]) & (y[k] <= bottom)
-            count += 1.0 if inside else 0.0
-            sum_x += dx[k] if inside else 0.0
-            sum_y += dy[k] if inside else 0.0
+            is_inside = (left <= x[k]) & (x[k] <= right) & (top <= y[k]) & (y[k] <= bottom)
+            count += 1.0 if is_inside else 0.0
+            sum_x += dx[k] if is_inside else 0.0
+            sum_y += dy[k] if is_inside else 0.0
         counts[n] = count
         means[n, 0] = sum_x / count if count > 0.0 else 0.0
         means[n, 1] = sum_y / count if count > 0.0 else 0.0
 
 
 @compiled
-def consensus(source: Floats, target: Floats, tolerance: float, apart: float, most: float) -> Bools:
+def consensus(
+    source: Floats, target: Floats, tolerance: float, min_distance: float, max_scale: float
+) -> Bools:
     """(N,) True for the points that one translation or one similarity takes to within `tolerance` px.
 
-    All are tried: the translation of every point, and the similarity of every two points at least `apart` px
-    from each other that changes sizes by a factor of `most` at most. The one with the most points wins, not
-    counting those that define it (1 or 2); of two equal ones that with the smaller squares. No randomness.
+    All are tried: the translation of every point, and the similarity of every two points at least
+    `min_distance` px from each other that changes sizes by a factor of `max_scale` at most. The one with the
+    most points wins, not counting those that define it (1 or 2); of two equal ones that with the smaller
+    squares. No randomness.
     """
     size = len(source)
-    chosen, trial = np.zeros(size, np.bool_), np.zeros(size, np.bool_)
-    best, least = -1, 0.0
+    agreeing, trial = np.zeros(size, np.bool_), np.zeros(size, np.bool_)
+    best_count, best_squares = -1, 0.0
     for i in range(size):
         for j in range(i, size):
             dx, dy = source[j, 0] - source[i, 0], source[j, 1] - source[i, 1]
             ex, ey = target[j, 0] - target[i, 0], target[j, 1] - target[i, 1]
             real, imaginary = 1.0, 0.0
             if j > i:
-                away = dx * dx + dy * dy
-                if away < apart * apart:
+                squared_length = dx * dx + dy * dy
+                if squared_length < min_distance * min_distance:
                     continue
-                real, imaginary = (dx * ex + dy * ey) / away, (dx * ey - dy * ex) / away
+                real, imaginary = (dx * ex + dy * ey) / squared_length, (dx * ey - dy * ex) / squared_length
                 factor = np.sqrt(real * real + imaginary * imaginary)
-                if not 1.0 / most <= factor <= most:
+                if not 1.0 / max_scale <= factor <= max_scale:
                     continue
             count, squares = (-2 if j > i else -1), 0.0
             for k in range(size):
@@ -389,7 +392,7 @@ def consensus(source: Floats, target: Floats, tolerance: float, apart: float, mo
                 if trial[k]:
                     count += 1
                     squares += error
-            if count > best or (count == best and squares < least):
-                best, least = count, squares
-                copy_row(trial, chosen)
-    return chosen
+            if count > best_count or (count == best_count and squares < best_squares):
+                best_count, best_squares = count, squares
+                copy_row(trial, agreeing)
+    return agreeing

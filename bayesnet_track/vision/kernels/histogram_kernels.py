@@ -113,11 +113,11 @@ def integrate(binned: Bins, present: Ints, bits: int) -> Words:
         for x in range(columns + 1):
             integral[w, 0, x] = 0
         for y in range(rows):
-            above, here, running = integral[w, y], integral[w, y + 1], np.uint64(0)
-            here[0] = running
+            previous, current, running = integral[w, y], integral[w, y + 1], np.uint64(0)
+            current[0] = running
             for x in range(columns):
                 running += adds[binned[y, x]]
-                here[x + 1] = above[x + 1] + running
+                current[x + 1] = previous[x + 1] + running
     return integral
 
 
@@ -130,8 +130,8 @@ def gather(present: Ints, integral: Words, corners: Corners, bits: int, counts: 
         for w in range(integral.shape[0]):
             word = integral[w, y0, x0] + integral[w, y1, x1] - integral[w, y0, x1] - integral[w, y1, x0]
             for lane in range(min(lanes, present.shape[0] - w * lanes)):
-                own = (word >> np.uint64(bits * lane)) & mask
-                counts[n, present[w * lanes + lane]] = np.int32(own)
+                count = (word >> np.uint64(bits * lane)) & mask
+                counts[n, present[w * lanes + lane]] = np.int32(count)
 
 
 def color_distances(
@@ -168,10 +168,10 @@ def cumulative_differences(counts: Counts, cumulative: Floats) -> tuple[Floats, 
             total += counts[n, k]
         totals[n] = total
         scale = 1.0 / max(total, 1)
-        below = 0
+        running = 0
         for k in range(bins):
-            below += counts[n, k]
-            difference[n, k] = below * scale - cumulative[k]
+            running += counts[n, k]
+            difference[n, k] = running * scale - cumulative[k]
     return difference, totals
 
 
@@ -179,14 +179,14 @@ def cumulative_differences(counts: Counts, cumulative: Floats) -> tuple[Floats, 
 def spread(ordered: Floats) -> Floats:
     """(N,) 2/B times the sum of distances from the median, of rows (N, B) in ascending order."""
     size, bins = ordered.shape
-    found = np.empty(size)
+    spreads = np.empty(size)
     for n in range(size):
         low, high = ordered[n, : bins // 2], ordered[n, bins // 2 :]
         total = 0.0
         for k in range(bins // 2):
             total += high[k] - low[k]
-        found[n] = 2.0 / bins * total
-    return found
+        spreads[n] = 2.0 / bins * total
+    return spreads
 
 
 @compiled
@@ -200,14 +200,14 @@ def price(
     achromatic: float,
 ) -> tuple[Floats, Floats]:
     """(N,) the cost of moving histograms whose hues lie `circular` (N,) apart, and the share outside."""
-    distances, outside = np.empty(circular.shape[0]), np.empty(circular.shape[0])
+    distances, beyond = np.empty(circular.shape[0]), np.empty(circular.shape[0])
     for n in range(circular.shape[0]):
-        outside[n] = 1.0 - visible[n] / nominal[n]
+        beyond[n] = 1.0 - visible[n] / nominal[n]
         both_hue = min(colored[n] / nominal[n], hue)
         both_gray = min((visible[n] - colored[n]) / nominal[n], gray)
-        changed = max(1.0 - both_hue - both_gray - outside[n], 0.0)
-        distances[n] = both_hue * circular[n] + achromatic * changed + outside[n]
-    return distances, outside
+        recolored = max(1.0 - both_hue - both_gray - beyond[n], 0.0)
+        distances[n] = both_hue * circular[n] + achromatic * recolored + beyond[n]
+    return distances, beyond
 
 
 @compiled
@@ -226,19 +226,21 @@ def distinct_of_each(boxes: Floats, starts: Ints, regions: Ints) -> tuple[Ints, 
     corners, places = np.empty((boxes.shape[0], 4), np.int64), np.empty(boxes.shape[0], np.int64)
     visible, nominal = np.empty(boxes.shape[0]), np.empty(boxes.shape[0])
     firsts = np.zeros(starts.shape[0], np.int64)
-    kept = 0
+    count = 0
     for t in range(starts.shape[0] - 1):
         x0, y0, x1, y1 = regions[t, 0], regions[t, 1], regions[t, 2], regions[t, 3]
-        own, seen, whole = pixels_of_boxes(boxes[starts[t] : starts[t + 1]], x0, y0, x1 - x0, y1 - y0)
-        first, kind = find_distinct(own, whole)
+        target_corners, in_crop, in_all = pixels_of_boxes(
+            boxes[starts[t] : starts[t + 1]], x0, y0, x1 - x0, y1 - y0
+        )
+        first, kind = find_distinct(target_corners, in_all)
         for k in range(kind.shape[0]):
-            places[starts[t] + k] = kept + kind[k]
+            places[starts[t] + k] = count + kind[k]
         for k in range(first.shape[0]):
-            copy_row(own[first[k]], corners[kept + k])
-            visible[kept + k], nominal[kept + k] = seen[first[k]], whole[first[k]]
-        kept += first.shape[0]
-        firsts[t + 1] = kept
-    return corners[:kept], visible[:kept], nominal[:kept], firsts, places
+            copy_row(target_corners[first[k]], corners[count + k])
+            visible[count + k], nominal[count + k] = in_crop[first[k]], in_all[first[k]]
+        count += first.shape[0]
+        firsts[t + 1] = count
+    return corners[:count], visible[:count], nominal[:count], firsts, places
 
 
 @compiled
@@ -254,42 +256,42 @@ def count_of_each(binned: Bins, crops: Ints, corners: Ints, firsts: Ints, bins: 
     """
     counts = np.zeros((corners.shape[0], bins), np.int32)
     for t in range(firsts.shape[0] - 1):
-        own = corners[firsts[t] : firsts[t + 1]]
-        x0, y0, x1, y1, pixels, most = 2**62, 2**62, 0, 0, 0, 0
-        for n in range(own.shape[0]):
-            size = (own[n, 2] - own[n, 0]) * (own[n, 3] - own[n, 1])
+        boxes = corners[firsts[t] : firsts[t + 1]]
+        x0, y0, x1, y1, pixels, largest = 2**62, 2**62, 0, 0, 0, 0
+        for n in range(boxes.shape[0]):
+            size = (boxes[n, 2] - boxes[n, 0]) * (boxes[n, 3] - boxes[n, 1])
             pixels += size
-            most = max(most, size)
+            largest = max(largest, size)
             if size > 0:
-                x0, y0 = min(x0, own[n, 0]), min(y0, own[n, 1])
-                x1, y1 = max(x1, own[n, 2]), max(y1, own[n, 3])
-        if most == 0:
+                x0, y0 = min(x0, boxes[n, 0]), min(y0, boxes[n, 1])
+                x1, y1 = max(x1, boxes[n, 2]), max(y1, boxes[n, 3])
+        if largest == 0:
             continue
         begin, columns, counted = crops[t, 0], crops[t, 1], counts[firsts[t] : firsts[t + 1]]
-        whole = binned[begin : begin + y1 * columns].reshape((y1, columns))
-        crop = whole[y0:y1, x0:x1]
-        if most >= 2**16 or not pays(crop, bins, pixels):
-            visit(whole, own, counted)
+        plane = binned[begin : begin + y1 * columns].reshape((y1, columns))
+        crop = plane[y0:y1, x0:x1]
+        if largest >= 2**16 or not pays(crop, bins, pixels):
+            visit(plane, boxes, counted)
             continue
-        moved = np.empty(own.shape, np.int64)
-        for n in range(own.shape[0]):
-            empty = own[n, 2] <= own[n, 0] or own[n, 3] <= own[n, 1]
+        shifted = np.empty(boxes.shape, np.int64)
+        for n in range(boxes.shape[0]):
+            empty = boxes[n, 2] <= boxes[n, 0] or boxes[n, 3] <= boxes[n, 1]
             for k in range(4):
-                moved[n, k] = 0 if empty else own[n, k] - (x0 if k % 2 == 0 else y0)
+                shifted[n, k] = 0 if empty else boxes[n, k] - (x0 if k % 2 == 0 else y0)
         present = occurring(crop, bins)
-        gather(present, integrate(crop, present, 16), moved, 16, counted)
+        gather(present, integrate(crop, present, 16), shifted, 16, counted)
     return counts
 
 
 @compiled
 def _differences(counts: Counts, firsts: Ints, cumulative: Floats) -> tuple[Floats, Floats]:
-    found, totals = np.empty(counts.shape), np.empty(counts.shape[0])
+    differences, totals = np.empty(counts.shape), np.empty(counts.shape[0])
     for t in range(cumulative.shape[0]):
-        first, last = firsts[t], firsts[t + 1]
-        own, pixels = cumulative_differences(counts[first:last], cumulative[t])
-        copy_rows(own, found[first:last])
-        copy_row(pixels, totals[first:last])
-    return found, totals
+        first, stop = firsts[t], firsts[t + 1]
+        target_differences, pixels = cumulative_differences(counts[first:stop], cumulative[t])
+        copy_rows(target_differences, differences[first:stop])
+        copy_row(pixels, totals[first:stop])
+    return differences, totals
 
 
 @compiled
@@ -297,22 +299,22 @@ def _prices(
     circular: Floats, colored: Floats, visible: Floats, nominal: Floats, firsts: Ints, shares: Floats
 ) -> tuple[Floats, Floats]:
     """`shares` (T, 3): of each reference with hue, without it, and the price of a change between the two."""
-    distances, outside = np.empty(circular.shape[0]), np.empty(circular.shape[0])
+    distances, beyond = np.empty(circular.shape[0]), np.empty(circular.shape[0])
     for t in range(shares.shape[0]):
-        first, last = firsts[t], firsts[t + 1]
+        first, stop = firsts[t], firsts[t + 1]
         hue, gray, achromatic = shares[t, 0], shares[t, 1], shares[t, 2]
-        own, out = price(
-            circular[first:last],
-            colored[first:last],
-            visible[first:last],
-            nominal[first:last],
+        target_distances, target_beyond = price(
+            circular[first:stop],
+            colored[first:stop],
+            visible[first:stop],
+            nominal[first:stop],
             hue,
             gray,
             achromatic,
         )
-        copy_row(own, distances[first:last])
-        copy_row(out, outside[first:last])
-    return distances, outside
+        copy_row(target_distances, distances[first:stop])
+        copy_row(target_beyond, beyond[first:stop])
+    return distances, beyond
 
 
 def color_distances_of_each(
@@ -323,5 +325,5 @@ def color_distances_of_each(
     cumulative = np.cumsum(shares[:, :-1], axis=1) / np.where(hue == 0.0, 1.0, hue)[:, None]
     difference, colored = _differences(counts, firsts, cumulative)
     difference.sort(axis=1)
-    rest = np.column_stack([hue, shares[:, -1], np.full(len(hue), achromatic)])
-    return _prices(spread(difference), colored, visible, nominal, firsts, rest)
+    parts = np.column_stack([hue, shares[:, -1], np.full(len(hue), achromatic)])
+    return _prices(spread(difference), colored, visible, nominal, firsts, parts)

@@ -32,10 +32,10 @@ def edge_units(low: float, size: float, origin: int, limit: int, units: Ints, sp
     if not (size > 0.0 and size < 2.0 * bound and -bound < low < bound):
         return 0
     first = int(np.rint(low * UNITS))
-    last = int(np.rint((low + size) * UNITS))
-    if last - first < cells or first >= limit * UNITS or last <= 0:
+    end = int(np.rint((low + size) * UNITS))
+    if end - first < cells or first >= limit * UNITS or end <= 0:
         return 0
-    step = ((last - first) << 20) // cells
+    step = ((end - first) << 20) // cells
     uncut = first
     for i in range(cells + 1):
         edge = first + ((i * step + (1 << 19)) >> 20)
@@ -43,7 +43,7 @@ def edge_units(low: float, size: float, origin: int, limit: int, units: Ints, sp
             spans[i - 1] = edge - uncut
         uncut = edge
         units[i] = min(max(edge, 0), limit * UNITS) - origin * UNITS
-    return last - first
+    return end - first
 
 
 @compiled
@@ -192,9 +192,9 @@ def patch_moments(
                 per_length[i] = UNITS / (x_units[i + 1] - x_units[i])
             for j in range(cells):
                 scale = UNITS / (y_units[j + 1] - y_units[j])
-                above, below, row = sums[j], sums[j + 1], values[j * cells : (j + 1) * cells]
+                upper, lower, row = sums[j], sums[j + 1], values[j * cells : (j + 1) * cells]
                 for i in range(cells):
-                    total = (below[i + 1] - below[i]) - (above[i + 1] - above[i])
+                    total = (lower[i + 1] - lower[i]) - (upper[i + 1] - upper[i])
                     row[i] = total * (scale * per_length[i])
             sv, srv, svv = _weighted_sums(values, flat_weights, weighted_reference)
         else:
@@ -220,9 +220,9 @@ def patch_projections(
     frame: Ints,
     weights: Floats,
     lines: Floats,
-    found: Floats,
+    projections: Floats,
 ) -> None:
-    """Fill `found` (N, 1 + K): the weight of a box's cells inside the frame, then K projections.
+    """Fill `projections` (N, 1 + K): the weight of a box's cells inside the frame, then K projections.
 
     The projection on the polynomials a across and b down is the sum of w p_a p_b (v - m) over the cells: v is
     a cell's mean, w `weights` (G,) of its column times that of its row and the share of it inside the frame,
@@ -238,9 +238,9 @@ def patch_projections(
     column_parts, row_parts = np.empty(cells + 1), np.empty(cells + 1)
     sums = np.empty((cells + 1, cells + 1))
     means, shares = np.empty((cells, cells)), np.empty((cells, cells))
-    across, products = np.empty(powers), np.empty((powers, powers))
+    column_sums, products = np.empty(powers), np.empty((powers, powers))
     for n in range(boxes.shape[0]):
-        found[n] = 0.0
+        projections[n] = 0.0
         x_span = edge_units(
             boxes[n, 0] - 0.5 * boxes[n, 2] + 0.5, boxes[n, 2], origin[0], frame[0], x_units, x_spans
         )
@@ -253,30 +253,30 @@ def patch_projections(
         split_edges(y_units, tall - 1, rows, row_parts)
         corner_sums(flat, stride, rows, row_parts, columns, column_parts, sums)
         cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
-        seen, total = 0.0, 0.0
+        visible_weight, total = 0.0, 0.0
         for j in range(cells):
             for i in range(cells):
                 shares[j, i] *= weights[j] * weights[i]
-                seen += shares[j, i]
+                visible_weight += shares[j, i]
                 total += shares[j, i] * means[j, i]
-        if seen <= 0.0:
+        if visible_weight <= 0.0:
             continue
-        found[n, 0] = seen
-        mean = total / seen
+        projections[n, 0] = visible_weight
+        mean = total / visible_weight
         products[:] = 0.0
         for j in range(cells):
-            across[:] = 0.0
+            column_sums[:] = 0.0
             for i in range(cells):
                 value = shares[j, i] * (means[j, i] - mean)
                 for a in range(powers):
-                    across[a] += lines[a, i] * value
+                    column_sums[a] += lines[a, i] * value
             for b in range(powers):
                 for a in range(powers - b):
-                    products[a, b] += lines[b, j] * across[a]
+                    products[a, b] += lines[b, j] * column_sums[a]
         column = 1
         for degree in range(1, powers):
             for b in range(degree + 1):
-                found[n, column] = products[degree - b, b]
+                projections[n, column] = products[degree - b, b]
                 column += 1
 
 
@@ -321,19 +321,19 @@ def gradient_directions(gray: Bytes, noise: int, codes: Bytes) -> None:
     """
     limit = np.float32(noise)
     for y in range(codes.shape[0]):
-        above, here, below = gray[y], gray[y + 1], gray[y + 2]
+        upper, middle, lower = gray[y], gray[y + 1], gray[y + 2]
         for x in range(codes.shape[1]):  # without branches, so that it becomes vector instructions
-            dx = np.float32(here[x + 2]) - np.float32(here[x])
-            dy = np.float32(below[x + 1]) - np.float32(above[x + 1])
-            across, down = abs(dx), abs(dy)
+            dx = np.float32(middle[x + 2]) - np.float32(middle[x])
+            dy = np.float32(lower[x + 1]) - np.float32(upper[x + 1])
+            abs_x, abs_y = abs(dx), abs(dy)
             level = np.uint8(0) if dx > 0 else np.uint8(4)
             upright = np.uint8(2) if dy > 0 else np.uint8(6)
             rising = np.uint8(1) if dx > 0 else np.uint8(3)
             falling = np.uint8(7) if dx > 0 else np.uint8(5)
             code = rising if dy > 0 else falling
-            code = upright if across < _TANGENT * down else code
-            code = level if down < _TANGENT * across else code
-            codes[y, x] = np.uint8(8) if across + down <= limit else code
+            code = upright if abs_x < _TANGENT * abs_y else code
+            code = level if abs_y < _TANGENT * abs_x else code
+            codes[y, x] = np.uint8(8) if abs_x + abs_y <= limit else code
 
 
 @compiled
@@ -376,9 +376,9 @@ def cell_shares(integral: Ints32, boxes: Floats, x0: int, y0: int, cells: int, s
             upper, lower = _cell_edges(top, boxes[k, 3], i, cells)
             t, b = min(max(upper - y0, 0), rows), min(max(lower - y0, 0), rows)
             for j in range(cells):
-                near, far = _cell_edges(left, boxes[k, 2], j, cells)
-                l, r = min(max(near - x0, 0), columns), min(max(far - x0, 0), columns)  # noqa: E741
-                area = float(far - near) * float(lower - upper)
+                start, stop = _cell_edges(left, boxes[k, 2], j, cells)
+                l, r = min(max(start - x0, 0), columns), min(max(stop - x0, 0), columns)  # noqa: E741
+                area = float(stop - start) * float(lower - upper)
                 for c in range(integral.shape[2]):
                     count = integral[b, r, c] - integral[t, r, c] - integral[b, l, c] + integral[t, l, c]
                     shares[k, i, j, c] = count / area
@@ -394,13 +394,13 @@ def counted_shares(codes: Bytes, boxes: Floats, x0: int, y0: int, cells: int, sh
         for i in range(cells):
             upper, lower = _cell_edges(top, boxes[k, 3], i, cells)
             for j in range(cells):
-                near, far = _cell_edges(left, boxes[k, 2], j, cells)
+                start, stop = _cell_edges(left, boxes[k, 2], j, cells)
                 counts[:] = 0
                 for y in range(max(upper - y0, 0), min(lower - y0, rows)):
                     line = codes[y]
-                    for x in range(max(near - x0, 0), min(far - x0, columns)):
+                    for x in range(max(start - x0, 0), min(stop - x0, columns)):
                         counts[line[x]] += 1
-                area = float(far - near) * float(lower - upper)
+                area = float(stop - start) * float(lower - upper)
                 for c in range(len(counts)):
                     shares[k, i, j, c] = counts[c] / area
 

@@ -53,15 +53,15 @@ def _look(distance: Floats, x: float, y: float, limit: float) -> tuple[float, fl
     y = min(max(y, 0.0), rows - 1.0)
     i, j = int(x), int(y)
     u, v = x - i, y - j
-    right, below = min(i + 1, columns - 1), min(j + 1, rows - 1)
+    right, next_row = min(i + 1, columns - 1), min(j + 1, rows - 1)
     a, b = min(distance[j, i], limit), min(distance[j, right], limit)
-    c, d = min(distance[below, i], limit), min(distance[below, right], limit)
+    c, d = min(distance[next_row, i], limit), min(distance[next_row, right], limit)
     top, bottom = a + u * (b - a), c + u * (d - c)
     return top + v * (bottom - top), (1.0 - v) * (b - a) + v * (d - c), bottom - top
 
 
 @compiled
-def _inside(x: float, y: float, frame: Ints) -> bool:
+def _is_inside(x: float, y: float, frame: Ints) -> bool:
     return bool(-0.5 <= x < frame[0] - 0.5 and -0.5 <= y < frame[1] - 0.5)
 
 
@@ -70,18 +70,18 @@ def _pull(distance: Floats, origin: Ints, frame: Ints, reach: float, points: Flo
     """Move each point (2, M) a share of the way to its nearest edge, when that is within `reach` px."""
     for m in range(points.shape[1]):
         x, y = points[0, m], points[1, m]
-        if not _inside(x, y, frame):
+        if not _is_inside(x, y, frame):
             continue
-        away, gx, gy = _look(distance, x - origin[0], y - origin[1], reach)
+        gap, gx, gy = _look(distance, x - origin[0], y - origin[1], reach)
         length = np.sqrt(gx * gx + gy * gy)
-        if away < reach and length > 1e-9:
-            points[0, m] -= PULL * away * gx / length
-            points[1, m] -= PULL * away * gy / length
+        if gap < reach and length > 1e-9:
+            points[0, m] -= PULL * gap * gx / length
+            points[1, m] -= PULL * gap * gy / length
 
 
 @compiled
-def _smooth(points: Floats, kernel: Floats, wide: Floats, moved: Floats) -> None:
-    """Fill `moved` (2, M) with the points smoothed by the circulant symmetric `kernel` (M,).
+def _smooth(points: Floats, kernel: Floats, wide: Floats, smoothed: Floats) -> None:
+    """Fill `smoothed` (2, M) with the points smoothed by the circulant symmetric `kernel` (M,).
 
     `wide` (2, 2 M) is room for the points once more, so that no index has to wrap round: vector instructions
     can be used.
@@ -89,41 +89,43 @@ def _smooth(points: Floats, kernel: Floats, wide: Floats, moved: Floats) -> None
     count = points.shape[1]
     half = count // 2
     for axis in range(2):
-        row, out = wide[axis], moved[axis]
+        row, line = wide[axis], smoothed[axis]
         for m in range(2 * count):
             row[m] = points[axis, (m + half) % count]
         for m in range(count):
-            out[m] = kernel[0] * points[axis, m]
+            line[m] = kernel[0] * points[axis, m]
         for lag in range(1, half):
             weight = kernel[lag]
             if weight == 0.0:
                 continue
-            after, before = row[half + lag : half + lag + count], row[half - lag : half - lag + count]
+            following, preceding = row[half + lag : half + lag + count], row[half - lag : half - lag + count]
             for m in range(count):
-                out[m] += weight * (after[m] + before[m])
+                line[m] += weight * (following[m] + preceding[m])
 
 
 @compiled
 def _even(points: Floats, placed: Floats) -> None:
     """Fill `placed` (2, M) with even points along the closed polygon `points` (2, P), from its first."""
-    count, wanted = points.shape[1], placed.shape[1]
+    count, size = points.shape[1], placed.shape[1]
     lengths = np.empty(count)
     total = 0.0
     for m in range(count):
-        after = (m + 1) % count
-        lengths[m] = np.sqrt((points[0, after] - points[0, m]) ** 2 + (points[1, after] - points[1, m]) ** 2)
+        next_index = (m + 1) % count
+        lengths[m] = np.sqrt(
+            (points[0, next_index] - points[0, m]) ** 2 + (points[1, next_index] - points[1, m]) ** 2
+        )
         total += lengths[m]
     side, passed = 0, 0.0
-    for k in range(wanted):
-        target = total * k / wanted
+    for k in range(size):
+        target = total * k / size
         while side < count - 1 and passed + lengths[side] < target:
             passed += lengths[side]
             side += 1
-        after = (side + 1) % count
+        next_index = (side + 1) % count
         share = (target - passed) / lengths[side] if lengths[side] > 0.0 else 0.0
         share = min(max(share, 0.0), 1.0)
-        placed[0, k] = points[0, side] + share * (points[0, after] - points[0, side])
-        placed[1, k] = points[1, side] + share * (points[1, after] - points[1, side])
+        placed[0, k] = points[0, side] + share * (points[0, next_index] - points[0, side])
+        placed[1, k] = points[1, side] + share * (points[1, next_index] - points[1, side])
 
 
 @compiled
@@ -154,32 +156,32 @@ def run_snakes(
         tolerance: how far from an edge it still counts as on it, in mean sides; at least 1.5 px.
     """
     count = snakes.shape[1]
-    points, moved, wide = np.empty((2, count)), np.empty((2, count)), np.empty((2, 2 * count))
+    points, smoothed, wide = np.empty((2, count)), np.empty((2, count)), np.empty((2, 2 * count))
     for c in range(boxes.shape[0]):
         x, y, w, h = boxes[c, 0], boxes[c, 1], boxes[c, 2], boxes[c, 3]
         side = np.sqrt(w * h)
         for m in range(count):
             angle = 2.0 * np.pi * m / count
-            moved[0, m] = x + 0.5 * w * np.cos(angle)
-            moved[1, m] = y + 0.5 * h * np.sin(angle)
-        _even(moved, points)
+            smoothed[0, m] = x + 0.5 * w * np.cos(angle)
+            smoothed[1, m] = y + 0.5 * h * np.sin(angle)
+        _even(smoothed, points)
         for stage in range(filters.shape[0]):
             for _ in range(steps[stage]):
                 _pull(distance, origin, frame, reach * side, points)
-                _smooth(points, filters[stage], wide, moved)
+                _smooth(points, filters[stage], wide, smoothed)
                 for m in range(count):
-                    points[0, m] = min(max(moved[0, m], x - 0.5 * BOUND * w), x + 0.5 * BOUND * w)
-                    points[1, m] = min(max(moved[1, m], y - 0.5 * BOUND * h), y + 0.5 * BOUND * h)
-            _even(points, moved)
-            copy_rows(moved, points)
-        near, limit = 0, max(tolerance * side, 1.5)
+                    points[0, m] = min(max(smoothed[0, m], x - 0.5 * BOUND * w), x + 0.5 * BOUND * w)
+                    points[1, m] = min(max(smoothed[1, m], y - 0.5 * BOUND * h), y + 0.5 * BOUND * h)
+            _even(points, smoothed)
+            copy_rows(smoothed, points)
+        hits, limit = 0, max(tolerance * side, 1.5)
         for m in range(count):
             snakes[c, m, 0], snakes[c, m, 1] = points[0, m], points[1, m]
-            if _inside(points[0, m], points[1, m], frame) and (
+            if _is_inside(points[0, m], points[1, m], frame) and (
                 _look(distance, points[0, m] - origin[0], points[1, m] - origin[1], 2.0 * limit)[0] <= limit
             ):
-                near += 1
-        support[c] = near / count
+                hits += 1
+        support[c] = hits / count
 
 
 @compiled
@@ -203,8 +205,8 @@ def signed_distance(contour: Floats, xs: Floats, ys: Floats, field: Floats) -> N
     count = contour.shape[0]
     sides = np.empty((count, 5))
     for p in range(count):
-        after = (p + 1) % count
-        dx, dy = contour[after, 0] - contour[p, 0], contour[after, 1] - contour[p, 1]
+        next_index = (p + 1) % count
+        dx, dy = contour[next_index, 0] - contour[p, 0], contour[next_index, 1] - contour[p, 1]
         square = dx * dx + dy * dy
         scale = 1.0 / square if square > 0.0 else 0.0
         sides[p, 0], sides[p, 1], sides[p, 2], sides[p, 3] = contour[p, 0], contour[p, 1], dx, dy
@@ -254,27 +256,27 @@ def shape_vector(field: Floats, cell: Floats, cover: float, box: Floats, vector:
     """
     size, grid = field.shape[0], round(np.sqrt(vector.shape[0]))
     unit = 2.0 / np.sqrt(box[2] * box[3])
-    across, down = np.empty(grid), np.empty(grid)
+    columns, rows = np.empty(grid), np.empty(grid)
     for g in range(grid):
         part = (g + 0.5) / grid - 0.5
         for axis in range(2):
-            at = ((box[axis] + part * box[2 + axis] - cell[axis]) / (cover * cell[2 + axis]) + 0.5) * (
+            position = ((box[axis] + part * box[2 + axis] - cell[axis]) / (cover * cell[2 + axis]) + 0.5) * (
                 size - 1
             )
-            at = min(max(at, 0.0), size - 1.0)
+            position = min(max(position, 0.0), size - 1.0)
             if axis == 0:
-                across[g] = at
+                columns[g] = position
             else:
-                down[g] = at
+                rows[g] = position
     for j in range(grid):
-        row = min(int(down[j]), size - 2)
-        v = down[j] - row
+        row = min(int(rows[j]), size - 2)
+        v = rows[j] - row
         for i in range(grid):
-            column = min(int(across[i]), size - 2)
-            u = across[i] - column
-            above = (1.0 - u) * field[row, column] + u * field[row, column + 1]
-            below = (1.0 - u) * field[row + 1, column] + u * field[row + 1, column + 1]
-            vector[j * grid + i] = unit * ((1.0 - v) * above + v * below)
+            column = min(int(columns[i]), size - 2)
+            u = columns[i] - column
+            upper = (1.0 - u) * field[row, column] + u * field[row, column + 1]
+            lower = (1.0 - u) * field[row + 1, column] + u * field[row + 1, column + 1]
+            vector[j * grid + i] = unit * ((1.0 - v) * upper + v * lower)
 
 
 @compiled_summing
@@ -287,16 +289,16 @@ def shape_energy(vector: Floats, mean: Floats, modes: Floats, variances: Floats,
     """
     total = 0.0
     for p in range(vector.shape[0]):
-        off = vector[p] - mean[p]
-        total += off * off
-    inside, energy = 0.0, 0.0
+        deviation = vector[p] - mean[p]
+        total += deviation * deviation
+    explained, energy = 0.0, 0.0
     for k in range(modes.shape[0]):
         y = 0.0
         for p in range(vector.shape[0]):
             y += modes[k, p] * (vector[p] - mean[p])
-        inside += y * y
+        explained += y * y
         energy += y * y / (variances[k] + noise)
-    return energy + max(total - inside, 0.0) / noise
+    return energy + max(total - explained, 0.0) / noise
 
 
 @compiled
