@@ -138,7 +138,9 @@ class _Evidence:
 
 
 def _evidence_of(member: _Member) -> _Evidence:
-    predicted, posterior = member.step.predicted[0], member.step.posterior
+    posterior = member.step.posterior
+    # Where its own evidence could not be used, its step is its prediction.
+    predicted = member.step.predicted[0] if member.step.predicted else posterior
     lower = root(predicted.covariance)
     whiten = np.asarray(np.linalg.pinv(lower), dtype=np.float64)
     change = posterior.mean - predicted.mean
@@ -181,7 +183,9 @@ def _product(evidence: Sequence[_Evidence], prior: Floats) -> tuple[Floats, Floa
     precision, lower = np.zeros_like(prior), np.zeros((rows[-1].stop, len(prior)))
     for part, block, row in zip(evidence, blocks, rows, strict=True):
         precision[block, block], lower[row, block] = part.precision, part.lower
-    spread = np.linalg.solve(np.eye(len(prior)) + prior @ precision, prior)
+    spread = np.asarray(np.linalg.solve(np.eye(len(prior)) + prior @ precision, prior), dtype=np.float64)
+    if np.linalg.eigvalsh(symmetric(spread))[0] <= 0.0:  # a search left a wider belief than the prediction
+        spread = np.asarray(np.linalg.inv(np.eye(len(prior)) + precision), dtype=np.float64)
     shift = np.concatenate([part.shift for part in evidence])
     mean = np.concatenate([part.mean + part.offset for part in evidence])
     return mean + lower @ (spread @ shift), symmetric(lower @ spread @ lower.T)

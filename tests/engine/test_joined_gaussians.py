@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, load_graph
+from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.step import first_look, make_engine, step
 from bayesnet_track.graph.text.messages import GraphError
@@ -202,3 +203,20 @@ def test_beliefs_that_are_joined_are_not_kept(readings):
     graph = load_graph(graph_of(readings, {"gaussian": {}}, dict.fromkeys("abc", CV)))
     with pytest.raises(UnkeptBeliefError, match="is Gaussian and joined with others"):
         check_kept(graph.spec)
+
+
+def test_a_target_whose_evidence_leaves_nothing_keeps_its_prediction_and_is_related(readings, monkeypatch):
+    """Likelihoods that contradict each other in two frames: the spring alone then says where it is."""
+    weigh = GaussianFilter._weigh
+
+    def contradicted(self, predicted, points, evidence, motion):
+        if abs(predicted[0][0] - 90.0) < 10.0:
+            return *predicted, "nothing is left"
+        return weigh(self, predicted, points, evidence, motion)
+
+    monkeypatch.setattr(GaussianFilter, "_weigh", contradicted)
+    source = graph_of(readings, {"gaussian": {"gate": 1}}, dict.fromkeys("abc", CV), JOINS[:1])
+    last = [one.belief for one in run(load_graph(source), 4)[1][-1].state.targets.values()]
+    assert last[1].mean[0] - last[0].mean[0] == pytest.approx(30, abs=1.5)
+    free = [one.belief for one in run(load_graph(source | {"joins": []}), 4)[1][-1].state.targets.values()]
+    assert last[1].covariance[0, 0] < 0.5 * free[1].covariance[0, 0]
