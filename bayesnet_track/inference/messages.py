@@ -103,10 +103,9 @@ def evaluate(
                 constants[step.agent] = answer.log_constant / step.temperature
             answer = to_power(answer, 1.0 / step.temperature)
             messages[step.agent] = measurement_message(answer, hypotheses_of[step.at])
-            view = plan.view(step.at)
-            measured[step.agent] = (
-                answer if view is None else through(view, answer, step.agent, _errors(step, observer))
-            )
+            if (view := plan.view(step.at)) is not None:
+                answer = through(view, answer, step.agent, _errors(step, observer))
+            measured[step.agent] = answer
         elif answer is None:
             measured[step.agent] = None
             messages[step.agent] = np.zeros(len(hypotheses))
@@ -118,8 +117,7 @@ def evaluate(
     joined = join_messages(plan, messages | sampled_factors, measured, latent, hypotheses, prior_log)
     total, sampled = joined.messages.pop(plan.root, np.zeros(len(hypotheses))), joined.sampled
     if linear:
-        sampled = total if sampled is None else sampled
-        total = total + sum(factors[name] for name in linear)
+        sampled, total = total if sampled is None else sampled, total + sum(factors[name] for name in linear)
     node_messages = {node: message for node, message in joined.messages.items() if node not in factors}
     present = {name for name in (*messages, *factors) if measured.get(name, ()) is not None}
     at_root = _log_constants(plan, constants, present)
