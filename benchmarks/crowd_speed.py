@@ -1,6 +1,7 @@
 """What a frame of many targets costs `kalman_detections`, SORT, ByteTrack, OC-SORT and norfair.
 
     python benchmarks/crowd_speed.py [--peers-python PEERS/bin/python] [--counts 10,50,200,1000] [--false 0]
+    python benchmarks/crowd_speed.py --peers-python PEERS/bin/python --counts 5000 --peers SORT --frames 40
 
 Detections only, no pixels are read: people wander over 1920x1080 px, 10 % of detections are missed, sizes are
 off by 5 %, positions by 3 px; beyond 200 people the image grows, so that the crowd is as dense as with 200.
@@ -175,6 +176,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--peers-python", help="interpreter of an environment with trackers and norfair")
+    parser.add_argument("--peers", nargs="+", default=PEERS, choices=PEERS)
     parser.add_argument("--graph", default="kalman_detections")
     parser.add_argument("--beside", help="another graph, timed on the same detections, instead")
     parser.add_argument("--counts", default="10,50,200,1000", help="numbers of people")
@@ -200,7 +202,7 @@ def main() -> None:
         others: dict[str, Any] = {}
         if chosen.peers_python:
             rows_of_frames = [rows_of(found[index]) for index in sorted(found)]
-            answer, names = ask(chosen.peers_python, PEERS, [rows_of_frames]), [*PEERS]
+            answer, names = ask(chosen.peers_python, chosen.peers, [rows_of_frames]), [*chosen.peers]
             others = answer["figures"][0]
             print(f"{count} people: {answer['versions']}")
         rows.append(row(count, measured(graph, found, size), others))
