@@ -128,52 +128,52 @@ class FinishedGroup(Generic[Table]):
 
     def state(self, row: int) -> TargetState:
         """The state of one target after the frame, still with the plan that the frame began with."""
-        judged, one = self.judged, self.judged.filtered.of(row)
-        before, outcome, measures = one.before, judged.score(row), judged.measures
-        ud_px2, area_px2 = float(measures.uds[one.plan.root][row]), float(measures.areas[row])
+        judged, filtered = self.judged, self.judged.filtered.of(row)
+        previous, outcome, measures = filtered.before, judged.score(row), judged.measures
+        ud_px2, area_px2 = float(measures.uds[filtered.plan.root][row]), float(measures.areas[row])
         baseline_px2, beside = judged.baselines_px2[row], self.learnt.beside.get(row)
         return TargetState(
-            one.step.posterior,
+            filtered.step.posterior,
             self._references(row) if beside is None else beside.references,
             judged.memory if len(judged.memory) == 1 else judged.memory.take([row]),
-            before.plan,
+            previous.plan,
             self.work.frame.time,
-            before.watched if beside is None else beside.watched,
-            one.predicted.after(ud_px2, area_px2, baseline_px2, judged.held(row)),
+            previous.watched if beside is None else beside.watched,
+            filtered.predicted.after(ud_px2, area_px2, baseline_px2, judged.held(row)),
             outcome.scored,
-            frozenset({*one.flaws, *one.undefined}),
-            before.existence,
-            before.started,
+            frozenset({*filtered.flaws, *filtered.undefined}),
+            previous.existence,
+            previous.started,
         )
 
     def _references(self, row: int) -> Mapping[str, Reference]:
-        return {agent: of[row] for agent, of in self.learnt.references.items()}
+        return {agent: rows[row] for agent, rows in self.learnt.references.items()}
 
     def decisions(self, row: int) -> tuple[Decision, ...]:
         """Decisions about one target, in order; they take effect on the next frame."""
-        one, beside = self.judged.filtered.beside(row), self.learnt.beside.get(row)
-        faults = () if one is None else one.faults
+        filtered, beside = self.judged.filtered.beside(row), self.learnt.beside.get(row)
+        faults = () if filtered is None else filtered.faults
         by_hand = self.work.by_hand.get(self.ids[row], ())
         return (*faults, *by_hand, *(() if beside is None else beside.decisions))
 
     def events(self, row: int) -> tuple[Event, ...]:
         """Events of one target besides its decisions."""
-        one, frame, target = self.judged.filtered.of(row), self.work.frame.index, self.ids[row]
-        before, stepped, outcome = one.before, one.step, self.judged.score(row)
+        filtered, frame, target = self.judged.filtered.of(row), self.work.frame.index, self.ids[row]
+        previous, stepped, outcome = filtered.before, filtered.step, self.judged.score(row)
         events: list[Event] = [
-            *one.predicted.events,
-            *(() if one.modes is None else one.modes.changes(frame, target)),
+            *filtered.predicted.events,
+            *(() if filtered.modes is None else filtered.modes.changes(frame, target)),
             *(report(frame, target) for report in stepped.reports),
         ]
         events += _report_flaws(self.judged, row, frame)
         if stepped.degenerate is not None:
             events.append(DegenerateBelief(frame, target, stepped.degenerate))
-        if outcome.distractor is not None and outcome.scored.doubt > 0 and not before.scored.doubt:
+        if outcome.distractor is not None and outcome.scored.doubt > 0 and not previous.scored.doubt:
             events.append(_with_level(outcome.distractor, outcome))
         events += outcome.notices
         beside, rule = self.learnt.beside.get(row), self.judged.filtered.compiled.guard
         if beside is not None:
-            events += changes(frame, target, before.watched, beside.watched, beside.judged, rule)
+            events += changes(frame, target, previous.watched, beside.watched, beside.judged, rule)
         return tuple(events)
 
     def lines(self, hypotheses: bool) -> list[FrameMetrics]:
@@ -223,14 +223,14 @@ class Results:
     @cached_property
     def order(self) -> Sequence[str]:
         """All targets."""
-        own = [group.ids for group in self.gaussians]
-        return own[0] if len(own) == 1 and not self.others else [*chain(*own, self.others)]
+        ids = [group.ids for group in self.gaussians]
+        return ids[0] if len(ids) == 1 and not self.others else [*chain(*ids, self.others)]
 
     @property
     def singles(self) -> Mapping[str, tuple[FinishedGroup[ParticleTable], int]]:
         """Target -> its group, and its row there, of those that are in no table."""
-        found = {target: (group, row) for group in self.groups for row, target in group.singles.items()}
-        return {target: found[target] for target in self.others if target in found} if found else {}
+        places = {target: (group, row) for group in self.groups for row, target in group.singles.items()}
+        return {target: places[target] for target in self.others if target in places} if places else {}
 
     @property
     def lines(self) -> Lines:
@@ -249,7 +249,7 @@ class Results:
 
     def _find_heard(self) -> dict[str, AgentMessages]:
         groups: Iterable[FinishedGroup[Any]] = (*self.gaussians, *self.groups)
-        return {target: of.filtered.heard(row) for of in groups for row, target in enumerate(of.ids)}
+        return {target: group.filtered.heard(row) for group in groups for row, target in enumerate(group.ids)}
 
 
 def finish_targets(
@@ -259,36 +259,43 @@ def finish_targets(
 
     One thing after the other for all targets: the code that a processor keeps at hand then serves them all.
     """
-    started, others = work.engine.clock(), [*filtered] if len(filtered) else []
-    groups = [LiveGroup(one, one.nets(work.net.targets)) for one in gaussians]
-    if others:
+    start, objects = work.engine.clock(), [*filtered] if len(filtered) else []
+    groups = [LiveGroup(rows, rows.nets(work.net.targets)) for rows in gaussians]
+    if objects:
         groups += _groups_of(work, filtered)
-        started = work.charge("belief", started)
+        start = work.charge("belief", start)
     judged = [judge_group(work, group) for group in groups]
-    started = work.charge("measure", started)
+    start = work.charge("measure", start)
     learnt = [learn_group(work, group) for group in judged]
-    work.charge("learn", started)
+    work.charge("learn", start)
     bare = evolve(work, cache=PlaneCache(FramePair(_without_image(work.frame), None)))
     tables = [
-        FinishedGroup(bare, own, of, found, {}, partial(own.summaries, bare))
-        for own, of, found in zip(gaussians, judged, learnt, strict=False)
+        FinishedGroup(
+            bare, rows_of_table, judged_group, learnt_group, {}, partial(rows_of_table.summaries, bare)
+        )
+        for rows_of_table, judged_group, learnt_group in zip(gaussians, judged, learnt, strict=False)
     ]
-    results = Results(tables, (), others, partial(_covariances, gaussians, filtered))
-    if not others:
+    results = Results(tables, (), objects, partial(_covariances, gaussians, filtered))
+    if not objects:
         return results
     summaries, count = find_summaries(bare, filtered, results.covariances), len(gaussians)
-    done = [
+    finished = [
         FinishedGroup(
-            bare, of.filtered, of, found, of.filtered.apart(found.beside), lambda hypotheses: summaries
+            bare,
+            judged_group.filtered,
+            judged_group,
+            learnt_group,
+            judged_group.filtered.apart(learnt_group.beside),
+            lambda hypotheses: summaries,
         )
-        for of, found in zip(judged[count:], learnt[count:], strict=True)
+        for judged_group, learnt_group in zip(judged[count:], learnt[count:], strict=True)
     ]
-    return evolve(results, groups=done)
+    return evolve(results, groups=finished)
 
 
 def _covariances(gaussians: Sequence[FilteredGaussians], filtered: Together) -> dict[str, Floats]:
     """Target -> (D, D) covariance of its belief."""
-    rows = (zip(one.ids, one.columns.covariance, strict=True) for one in gaussians)
+    rows = (zip(group.ids, group.columns.covariance, strict=True) for group in gaussians)
     return {**dict(chain(*rows)), **find_covariances(filtered)}
 
 
@@ -296,28 +303,32 @@ def _without_image(frame: Frame) -> Frame:
     return evolve(frame, image=NO_IMAGE, depth=None)
 
 
-def _with_level(seen: DistractorSeen, outcome: ScoreOutcome) -> DistractorSeen:
+def _with_level(event: DistractorSeen, outcome: ScoreOutcome) -> DistractorSeen:
     """With the largest level that would not have raised this doubt: all of its frames count."""
     encounter = outcome.scored.encounter
-    return seen if encounter is None else evolve(seen, turning_nats=encounter.behind_nats)
+    return event if encounter is None else evolve(event, turning_nats=encounter.behind_nats)
 
 
 def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
     """Events of expressions that begin to have no value in this frame, and of those that end to."""
-    one = judged.filtered.of(row)
-    target, before, after = one.target, one.before.flawed, {*one.flaws, *one.undefined}
+    filtered = judged.filtered.of(row)
+    target, previous, current = (
+        filtered.target,
+        filtered.before.flawed,
+        {*filtered.flaws, *filtered.undefined},
+    )
     return [
         *(
             FactorFlawed(frame, target, factor, flaw.undefined, flaw.hypotheses, flaw.ignored)
-            for factor, flaw in one.flaws.items()
-            if factor not in before
+            for factor, flaw in filtered.flaws.items()
+            if factor not in previous
         ),
         *(
             MotionFlawed(frame, target, part, undefined.states, undefined.asked)
-            for part, undefined in one.undefined.items()
-            if part not in before
+            for part, undefined in filtered.undefined.items()
+            if part not in previous
         ),
-        *(FlawEnded(frame, target, part) for part in sorted(before - after)),
+        *(FlawEnded(frame, target, part) for part in sorted(previous - current)),
     ]
 
 
@@ -327,22 +338,22 @@ def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
 def _groups_of(work: FrameContext, filtered: Together) -> list[LiveGroup]:
     """All targets of a frame; those that were filtered as arrays first, with their MAP states found."""
     groups: list[LiveGroup] = []
-    others = [*filtered.others.values()]
+    objects = [*filtered.others.values()]
     for group in filtered.groups:
         group.find_maps()
         fits = [row for row in range(len(group)) if _fits(work, group, row)]
         if len(fits) < len(group):
-            others += [group[target] for row, target in enumerate(group.ids) if row not in fits]
+            objects += [group[target] for row, target in enumerate(group.ids) if row not in fits]
             group = group.take(fits)
         if fits:
             groups.append(LiveGroup(group, [work.net.targets[target] for target in group.ids]))
-    find_maps(one.step for one in others)
-    alike: dict[Hashable, list[Filtered]] = {}
+    find_maps(one.step for one in objects)
+    by_key: dict[Hashable, list[Filtered]] = {}
     nets: dict[str, TargetNet] = {}
-    for one in others:
+    for one in objects:
         nets[one.target] = net = _live_net(work, one)
-        alike.setdefault(_key(one, net), []).append(one)
-    for targets in alike.values():
+        by_key.setdefault(_key(one, net), []).append(one)
+    for targets in by_key.values():
         each = FilteredEach(work.plate_of(targets[0].target), targets)
         groups.append(LiveGroup(each, [nets[target] for target in each.ids]))
     return groups
@@ -367,13 +378,13 @@ def _live_net(work: FrameContext, filtered: Filtered) -> TargetNet:
         net = work.net.targets[filtered.target]
     else:
         net = apply_decisions(work.net, (*filtered.faults, *by_hand)).targets[filtered.target]
-    out = filtered.missed.keys() | filtered.resting
-    return evolve(net, active=net.active - out) if out else net
+    absent = filtered.missed.keys() | filtered.resting
+    return evolve(net, active=net.active - absent) if absent else net
 
 
 def _key(filtered: Filtered, net: TargetNet) -> Hashable:
     """Equal for targets that make columns together."""
-    step, before = filtered.step, filtered.before
+    step, previous = filtered.step, filtered.before
     hiding = filtered.modes is None or filtered.modes.hiding is None
-    known = before.existence is None, hiding, bool(step.evidence.latent), (*before.references,)
-    return net.template, net.active, StepArrays.key(filtered.plan, step), known
+    kinds = previous.existence is None, hiding, bool(step.evidence.latent), (*previous.references,)
+    return net.template, net.active, StepArrays.key(filtered.plan, step), kinds

@@ -77,14 +77,7 @@ def evaluate(
     measured: dict[str, Measurement | None] = {}
     constants: dict[str, float] = {}
     faults: dict[str, str] = {}
-    cameras = dict.fromkeys(step.camera for step in plan.observations if step.camera)
-    regions = {
-        camera: _region(
-            {step.at: hypotheses_of[step.at] for step in plan.observations if step.camera == camera}
-        )
-        for camera in cameras
-    }
-    question = Question(hypotheses_of, prior_log, _region(latent if plan.views else hypotheses_of), regions)
+    question = Question(hypotheses_of, prior_log, *_regions(plan, hypotheses_of, latent))
     answers = {**ahead, **known_answers(plan.observations, observer)}
     answers.update(ask_each(question, observer, [one for one in plan.observations if one not in answers]))
     for step in plan.observations:
@@ -389,6 +382,20 @@ def _deviating_boxes(node: str, places: Floats, fields: Mapping[str, Floats]) ->
             boxes[:, column] += deviations
     np.maximum(boxes[:, 2:], 1.0, out=boxes[:, 2:])
     return boxes
+
+
+def _regions(
+    plan: Plan, hypotheses_of: Mapping[str, Hypotheses], latent: Mapping[str, Hypotheses]
+) -> tuple[Region, dict[str, Region]]:
+    """The region that holds all hypotheses in the image, and that of each camera."""
+    cameras = dict.fromkeys(step.camera for step in plan.observations if step.camera)
+    regions = {
+        camera: _region(
+            {step.at: hypotheses_of[step.at] for step in plan.observations if step.camera == camera}
+        )
+        for camera in cameras
+    }
+    return _region(latent if plan.views else hypotheses_of), regions
 
 
 def _region(hypotheses_of: Mapping[str, Hypotheses]) -> Region:

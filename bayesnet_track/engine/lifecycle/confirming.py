@@ -67,45 +67,45 @@ class Births:
         return self.work.frame
 
 
-def start_confirmed(now: Births, ready: Sequence[Candidate], found: Found) -> list[Candidate]:
+def start_confirmed(births: Births, ready: Sequence[Candidate], detections: Found) -> list[Candidate]:
     """Confirmed candidates become targets, the best first, while there is room; those that are done with."""
     if not ready:
         return []
-    tracks, most = now.tracks, now.birth.max_targets
-    dead = [one for one in tracks.history.dead if one.template == now.plate]
-    boxes = np.array([one.box for one in ready[:TESTED]]).reshape(-1, 4)
-    nearest = {one.detection: one for one in match_known(now, dead, boxes, found.boxes)}
-    done: list[Candidate] = []
+    tracks, max_targets = births.tracks, births.birth.max_targets
+    dead = [entry for entry in tracks.history.dead if entry.template == births.plate]
+    boxes = np.array([entry.box for entry in ready[:TESTED]]).reshape(-1, 4)
+    nearest = {entry.detection: entry for entry in match_known(births, dead, boxes, detections.boxes)}
+    handled: list[Candidate] = []
     refused: list[Floats] = []
-    compiled = now.work.engine.plates[now.plate]
-    live, places, count = len(tracks.of_plate(now.plate)), *_with_room(now, len(ready))
-    unseen = _unseen(now)
+    compiled = births.work.engine.plates[births.plate]
+    live, places, count = len(tracks.of_plate(births.plate)), *_with_room(births, len(ready))
+    unseen = _unseen(births)
     for number, waiting in enumerate(ready):
         candidate = initiate(compiled, waiting)
         if candidate.is_far and candidate.mean is None:
             continue
-        if _share_in_area(compiled, candidate) < _least_share(now):
+        if _share_in_area(compiled, candidate) < _least_share(births):
             continue
         place = _place(compiled, candidate)
-        if _is_one_of(now, place, places[:count]):
-            done.append(waiting)
-        elif (target := _continue(now, candidate, unseen)) is not None:
-            done.append(waiting)
+        if _is_one_of(births, place, places[:count]):
+            handled.append(waiting)
+        elif (target := _continue(births, candidate, unseen)) is not None:
+            handled.append(waiting)
             unseen = None if unseen is None else unseen.without(target)
-            places, count = _with_room(now, len(ready))
-        elif live >= most:
-            if not _is_one_of(now, place, np.array(refused).reshape(-1, 4)):
+            places, count = _with_room(births, len(ready))
+        elif live >= max_targets:
+            if not _is_one_of(births, place, np.array(refused).reshape(-1, 4)):
                 refused.append(place)
         else:
-            metrics = _start(now, candidate, nearest.get(number))
+            metrics = _start(births, candidate, nearest.get(number))
             live += 1
             if metrics.status != "lost":
                 places[count] = metrics.centre_box if compiled.has_one_image else place
                 count += 1
-            done.append(waiting)
+            handled.append(waiting)
     if refused:
-        _refuse(now, len(refused))
-    return done
+        _refuse(births, len(refused))
+    return handled
 
 
 def _place(compiled: CompiledPlate, candidate: Candidate) -> Floats:
@@ -126,69 +126,71 @@ def _share_in_area(compiled: CompiledPlate, candidate: Candidate) -> float:
     return 0.0 if placed is None else views.share_in_area(placed.states[0], placed.covariances[0])
 
 
-def _least_share(now: Births) -> float:
+def _least_share(births: Births) -> float:
     """The probability of standing in the area from which on a candidate is a target."""
-    return 0.5 if now.rule.existence is None else now.rule.existence.confirm
+    return 0.5 if births.rule.existence is None else births.rule.existence.confirm
 
 
-def _is_one_of(now: Births, place: Floats, others: Floats) -> bool:
+def _is_one_of(births: Births, place: Floats, places: Floats) -> bool:
     """True if what is at a place is the object in one of the others (K, 4)."""
-    return bool(alike(place[None], others, now.birth.min_distance_box, now.birth.covered).any())
+    return bool(alike(place[None], places, births.birth.min_distance_box, births.birth.covered).any())
 
 
-def _with_room(now: Births, more: int) -> tuple[Floats, int]:
+def _with_room(births: Births, room: int) -> tuple[Floats, int]:
     """(K + more, 4) places of the live targets that are not lost, with room for those that start, and K."""
-    held, compiled = now.tracks.held(now.plate), now.work.engine.plates[now.plate]
+    targets, compiled = births.tracks.held(births.plate), births.work.engine.plates[births.plate]
     if compiled.views is None or compiled.has_one_image:
-        places = now.tracks.boxes(held)
+        places = births.tracks.boxes(targets)
     else:
         size = len(compiled.motion.fields)
-        places = compiled.views.footprints(np.array([now.tracks.mean(one) for one in held]).reshape(-1, size))
-    return np.concatenate([places, np.empty((more, 4))]), len(places)
+        places = compiled.views.footprints(
+            np.array([births.tracks.mean(target) for target in targets]).reshape(-1, size)
+        )
+    return np.concatenate([places, np.empty((room, 4))]), len(places)
 
 
-def _unseen(now: Births) -> Unseen | None:
+def _unseen(births: Births) -> Unseen | None:
     """The targets that a candidate may turn out to be; None where none goes on with its detections."""
-    rules = now.work.engine.plates[now.plate].association_rules
+    rules = births.work.engine.plates[births.plate].association_rules
     if max((rule.continue_box for rule in rules.values()), default=0.0) <= 0.0:
         return None
-    return Unseen.of(now.tracks, now.plate, now.work.engine.plates[now.plate].motion)
+    return Unseen.of(births.tracks, births.plate, births.work.engine.plates[births.plate].motion)
 
 
-def _continue(now: Births, candidate: Candidate, unseen: Unseen | None) -> str | None:
+def _continue(births: Births, candidate: Candidate, unseen: Unseen | None) -> str | None:
     """The live target that goes on with a candidate's detections: it lost its own when these began."""
-    compiled, tracks, frame = now.work.engine.plates[now.plate], now.tracks, now.frame
+    compiled, tracks, frame = births.work.engine.plates[births.plate], births.tracks, births.frame
     rules = compiled.association_rules
     reach_box = max((rule.continue_box for rule in rules.values()), default=0.0)
     same = None if unseen is None else find_continuation(tracks, unseen, candidate, frame.time, reach_box)
     if same is None:
         return None
     target, box = same.target, candidate.box
-    state = restart(now.work, target, now.plate, box, tracks.state(target))
+    state = restart(births.work, target, births.plate, box, tracks.state(target))
     state = _as_known(compiled, with_belief(state, candidate, rules), candidate, None)
     numbers = (candidate.first_frame, same.distance_box, reach_box)
     tracks.decide(Continued(frame.index, target, box_of(box), *numbers))
-    since = tracks.record(target).since
-    tracks.put_back(target, state, start_record(state, since, frame))
+    birth_frame = tracks.record(target).since
+    tracks.put_back(target, state, start_record(state, birth_frame, frame))
     return target
 
 
-def _start(now: Births, candidate: Candidate, nearest: Match | None) -> FrameMetrics:
+def _start(births: Births, candidate: Candidate, nearest: Match | None) -> FrameMetrics:
     """A net for a candidate: of an old target when it is recognised, else of a new one; its first metrics."""
-    tracks, frame, box = now.tracks, now.frame, candidate.box
-    old = None
+    tracks, frame, box = births.tracks, births.frame, candidate.box
+    memory = None
     if nearest is not None and nearest.is_sure:
         target = nearest.recognition.target
-        old = next(one for one in tracks.history.dead if one.target == target)
-        looks = now.work.engine.plates[now.plate].looks
-        known = {agent: one for agent, one in old.references.items() if agent in looks}
-        born = start(now.work, target, now.plate, box, candidate.birth, known)
+        memory = next(entry for entry in tracks.history.dead if entry.target == target)
+        looks = births.work.engine.plates[births.plate].looks
+        references = {agent: entry for agent, entry in memory.references.items() if agent in looks}
+        born = start(births.work, target, births.plate, box, candidate.birth, references)
         first = born.decisions[0]
         active = getattr(first, "active", ())
-        back = Returned(frame.index, target, now.plate, box_of(box), active, nearest.recognition)
+        back = Returned(frame.index, target, births.plate, box_of(box), active, nearest.recognition)
         tracks.decide(back, *born.decisions[1:])
         tracks.history = replace(
-            tracks.history, dead=tuple(one for one in tracks.history.dead if one is not old)
+            tracks.history, dead=tuple(entry for entry in tracks.history.dead if entry is not memory)
         )
     else:
         tracks.history = replace(tracks.history, last_id=tracks.history.last_id + 1)
@@ -197,26 +199,28 @@ def _start(now: Births, candidate: Candidate, nearest: Match | None) -> FrameMet
             CandidateConfirmed(
                 frame=frame.index,
                 target=target,
-                template=now.plate,
-                detector=now.birth.detector.detector,
+                template=births.plate,
+                detector=births.birth.detector.detector,
                 first_frame=candidate.first_frame,
                 seen=candidate.seen,
                 looks=len(candidate.looks),
                 score=candidate.score,
                 nearest=None if nearest is None else nearest.recognition,
                 existence=candidate.existence,
-                confirm=None if now.rule.existence is None else now.rule.existence.confirm,
+                confirm=None if births.rule.existence is None else births.rule.existence.confirm,
             )
         )
-        born = start(now.work, target, now.plate, box, candidate.birth)
+        born = start(births.work, target, births.plate, box, candidate.birth)
         tracks.decide(*born.decisions)
     tracks.history = evolve(tracks.history, births={**tracks.history.births, target: candidate.birth})
-    compiled, metrics = now.work.engine.plates[now.plate], born.metrics
+    compiled, metrics = births.work.engine.plates[births.plate], born.metrics
     rng = (
-        None if compiled.views is None else now.work.stream_of(candidate.birth, compiled.plate.root)("placed")
+        None
+        if compiled.views is None
+        else births.work.stream_of(candidate.birth, compiled.plate.root)("placed")
     )
     state = with_belief(born.state, candidate, compiled.association_rules, rng)
-    state = _as_known(compiled, state, candidate, None if old is None else old.kinds)
+    state = _as_known(compiled, state, candidate, None if memory is None else memory.kinds)
     if compiled.modes is not None and compiled.modes.constants:
         probabilities = mode_probabilities(state.belief, len(compiled.modes))
         metrics = evolve(metrics, category=compiled.modes.values(probabilities))
@@ -230,10 +234,10 @@ def _as_known(
     compiled: CompiledPlate, state: TargetState, candidate: Candidate, kinds: Floats | None
 ) -> TargetState:
     """The state with what the labels of the first detections say, and what the target was before."""
-    by = next((one.label for one in compiled.association_rules.values() if one.label is not None), None)
+    label = next((rule.label for rule in compiled.association_rules.values() if rule.label is not None), None)
     belief = with_kinds(state.belief, compiled.modes, kinds)
-    if by is not None:
-        belief = with_label(belief, compiled.modes, by.category, candidate.labels)
+    if label is not None:
+        belief = with_label(belief, compiled.modes, label.category, candidate.labels)
     return state if belief is state.belief else replace(state, belief=belief)
 
 
@@ -264,41 +268,43 @@ def with_belief(
     return replace(state, belief=belief, references=references, existence=candidate.existence)
 
 
-def _refuse(now: Births, waiting: int) -> None:
-    tracks = now.tracks
-    before = tracks.history.refused.get(now.plate, 0)
-    tracks.history = replace(tracks.history, refused={**tracks.history.refused, now.plate: before + waiting})
-    if is_refusal_notable(before, before + waiting):
-        live_ones = len(tracks.of_plate(now.plate))
-        detector = now.birth.detector.detector
+def _refuse(births: Births, waiting: int) -> None:
+    tracks = births.tracks
+    refused = tracks.history.refused.get(births.plate, 0)
+    tracks.history = replace(
+        tracks.history, refused={**tracks.history.refused, births.plate: refused + waiting}
+    )
+    if is_refusal_notable(refused, refused + waiting):
+        live_ones = len(tracks.of_plate(births.plate))
+        detector = births.birth.detector.detector
         tracks.events.append(
             BirthsRefused(
-                now.frame.index,
-                now.plate,
+                births.frame.index,
+                births.plate,
                 detector,
                 live_ones,
-                now.birth.max_targets,
-                before + waiting,
+                births.birth.max_targets,
+                refused + waiting,
                 waiting,
             )
         )
 
 
 def match_known(
-    now: Births, known: Sequence[AppearanceMemory], boxes: Floats, detections: Floats
+    births: Births, memories: Sequence[AppearanceMemory], boxes: Floats, detections: Floats
 ) -> tuple[Match, ...]:
     """Which of the boxes (M, 4) are which of the known targets."""
-    reidentify = now.rule.reidentify
-    if reidentify is None or not known or not len(boxes):
+    reidentify = births.rule.reidentify
+    if reidentify is None or not memories or not len(boxes):
         return ()
-    others = np.concatenate([now.tracks.boxes(now.tracks.held(now.plate)), detections[:TESTED]])
-    compared = compare(now.work, now.plate, reidentify, boxes, others, known)
+    occupied = np.concatenate([births.tracks.boxes(births.tracks.held(births.plate)), detections[:TESTED]])
+    compared = compare(births.work, births.plate, reidentify, boxes, occupied, memories)
     return match(compared, reidentify)
 
 
-def start_record(state: TargetState, since: int, frame: Frame) -> TrackRecord:
-    """The record of a target that starts now, of a net born in frame `since`."""
-    return TrackRecord(since, *moments_of(state.belief), frame.time)
+def start_record(state: TargetState, birth_frame: int, frame: Frame) -> TrackRecord:
+    """The record of a target that starts now, of a net born in frame `birth_frame`."""
+    return TrackRecord(birth_frame, *moments_of(state.belief), frame.time)
 
 
 def box_of(box: Floats) -> tuple[float, float, float, float]:
@@ -347,8 +353,8 @@ class Unseen:
 
     def without(self, target: str) -> Unseen:
         """All but one."""
-        rows = np.array([one != target for one in self.ids], dtype=np.bool_)
-        ids = [one for one in self.ids if one != target]
+        rows = np.array([name != target for name in self.ids], dtype=np.bool_)
+        ids = [name for name in self.ids if name != target]
         return Unseen(self.plate, ids, self.frames[rows], self.boxes[rows], self.steps[rows])
 
 
@@ -386,9 +392,9 @@ def find_continuation(
     return None
 
 
-def _is_covered(mean: Floats, others: Floats) -> bool:
+def _is_covered(mean: Floats, boxes: Floats) -> bool:
     """True if one of the boxes (K, 4) covers at least `COVERED` of a target's own."""
-    low = np.maximum(mean[:2] - mean[2:4] / 2, others[:, :2] - others[:, 2:4] / 2)
-    high = np.minimum(mean[:2] + mean[2:4] / 2, others[:, :2] + others[:, 2:4] / 2)
+    low = np.maximum(mean[:2] - mean[2:4] / 2, boxes[:, :2] - boxes[:, 2:4] / 2)
+    high = np.minimum(mean[:2] + mean[2:4] / 2, boxes[:, :2] + boxes[:, 2:4] / 2)
     shared = np.maximum(high - low, 0.0).prod(axis=1)
     return bool((shared >= COVERED * mean[2] * mean[3]).any())

@@ -80,26 +80,26 @@ class LiveTracks:
 
 
 def track_identities(
-    work: FrameContext, before: Targets, associated: Associated, outcome: Outcome
+    work: FrameContext, previous: Targets, associated: Associated, outcome: Outcome
 ) -> Outcome:
-    """The outcome with who may be whom; `before` are the targets as they were before the frame."""
-    started = work.engine.clock()
+    """The outcome with who may be whom; `previous` are the targets as they were before the frame."""
+    start = work.engine.clock()
     memory, events = dict(outcome.state.identities), list[Event]()
     doubts: dict[str, Mapping[str, float]] = {}
     for plate, compiled in work.engine.plates.items():
         rule = compiled.plate.spec.identity
         if rule is None:
             continue
-        known = memory.get(plate, PlateIdentities())
-        now = Identifying(work, compiled, rule, before, tracks_of(compiled, before))
-        memory[plate], placings, found = now.after(known, associated, outcome)
-        events += found
-        shown = memory[plate].entangled
+        identities = memory.get(plate, PlateIdentities())
+        identifying = Identifying(work, compiled, rule, previous, tracks_of(compiled, previous))
+        memory[plate], placings, plate_events = identifying.after(identities, associated, outcome)
+        events += plate_events
+        composed = memory[plate].entangled
         for placing in placings:
-            shown = compose(shown, placing, SURE)
-        for entangled in shown:
+            composed = compose(composed, placing, SURE)
+        for entangled in composed:
             doubts.update((track, entangled.of(track)) for track in entangled.tracks)
-    work.charge("life", started)
+    work.charge("life", start)
     state = evolve(outcome.state, identities=memory)
     metrics = outcome.metrics.with_identities(doubts) if doubts else outcome.metrics
     events_after = (*outcome.events, *events)
@@ -111,13 +111,13 @@ def tracks_of(compiled: CompiledPlate, targets: Targets) -> LiveTracks:
     name = compiled.plate.name
     width = len(compiled.moments.fields)
     ids: list[str] = []
-    means, covariances, started = [np.empty((0, width))], [np.empty((0, width, width))], list[int]()
+    means, covariances, start_frames = [np.empty((0, width))], [np.empty((0, width, width))], list[int]()
     for rows in targets.gaussians:
         if rows.rule.plate == name:
             ids += rows.ids
             means.append(rows.columns.mean)
             covariances.append(rows.columns.covariance)
-            started += rows.columns.started.tolist()
+            start_frames += rows.columns.started.tolist()
     for target in targets.order:
         state = targets[target]
         if state.plan.target == name:
@@ -125,9 +125,9 @@ def tracks_of(compiled: CompiledPlate, targets: Targets) -> LiveTracks:
             ids.append(target)
             means.append(mean[None])
             covariances.append(covariance[None])
-            started.append(state.started)
+            start_frames.append(state.started)
     return LiveTracks(
-        tuple(ids), np.concatenate(means), np.concatenate(covariances), np.array(started, dtype=np.int64)
+        tuple(ids), np.concatenate(means), np.concatenate(covariances), np.array(start_frames, dtype=np.int64)
     )
 
 
@@ -150,34 +150,34 @@ class Identifying:
     before: LiveTracks
 
     def after(
-        self, known: PlateIdentities, associated: Associated, outcome: Outcome
+        self, memory: PlateIdentities, associated: Associated, outcome: Outcome
     ) -> tuple[PlateIdentities, list[Placing], list[Event]]:
-        """What is remembered after the frame, who is who in meetings that go on, and what the log says."""
+        """What is memory after the frame, who is who in meetings that go on, and what the log says."""
         plate, frame = self.compiled.plate.name, self.work.frame.index
         expecting = predictor(self.work, self.compiled)
         mean, covariance = expecting(self.before.mean, self.before.covariance)
         expected = evolve(self.before, mean=mean, covariance=covariance)
-        found, events = associated.found.get(plate, {}).get(""), list[Event]()
-        after = tracks_of(self.compiled, Targets.of(outcome.state.targets))
-        entangled = keep_live(known.entangled, frozenset(after.ids), SURE)
-        entangled = (*entangled, *_recognised(outcome.events, entangled, after.ids))
-        if found is None:
-            waiting = tuple(_predicted(meeting, expecting) for meeting in known.meetings)
-            return evolve(known, meetings=waiting, entangled=entangled), [], events
-        seen = Detections.of(self.compiled, found.boxes, associated.owners.get(plate, ()))
-        unseen = np.array([known.unseen.get(target, 0) + 1 for target in self.before.ids], dtype=np.int64)
-        meetings, refused = self._meet(known, expected, seen, unseen)
-        rates = self._rates(known.rates, meetings, expected, seen, unseen)
+        batch, events = associated.found.get(plate, {}).get(""), list[Event]()
+        tracks = tracks_of(self.compiled, Targets.of(outcome.state.targets))
+        entangled = keep_live(memory.entangled, frozenset(tracks.ids), SURE)
+        entangled = (*entangled, *_recognised(outcome.events, entangled, tracks.ids))
+        if batch is None:
+            waiting = tuple(_predicted(meeting, expecting) for meeting in memory.meetings)
+            return evolve(memory, meetings=waiting, entangled=entangled), [], events
+        detections = Detections.of(self.compiled, batch.boxes, associated.owners.get(plate, ()))
+        unseen = np.array([memory.unseen.get(target, 0) + 1 for target in self.before.ids], dtype=np.int64)
+        meetings, refused = self._meet(memory, expected, detections, unseen)
+        rates = self._rates(memory.rates, meetings, expected, detections, unseen)
         going_on: list[Meeting] = []
         placings: list[Placing] = []
         for meeting in meetings:
-            meeting = self._advanced(_predicted(meeting, expecting), expected, seen, rates)
-            placing = self._placed(meeting, after, meetings)
-            apart = frame - meeting.last_near
-            is_plain = apart >= 2 and placing is not None and placing.probability[0] >= PLAIN - LAPSE
+            meeting = self._advanced(_predicted(meeting, expecting), expected, detections, rates)
+            placing = self._placed(meeting, tracks, meetings)
+            frames_apart = frame - meeting.last_near
+            is_plain = frames_apart >= 2 and placing is not None and placing.probability[0] >= PLAIN - LAPSE
             if placing is None:
                 continue
-            if is_plain or apart >= self.rule.settle or frame - meeting.since >= LONGEST:
+            if is_plain or frames_apart >= self.rule.settle or frame - meeting.since >= LONGEST:
                 entangled = compose(entangled, placing, SURE)
                 events += self._doubts(meeting, placing, refused)
             else:
@@ -186,19 +186,19 @@ class Identifying:
         without = {
             target: int(count)
             for target, count in zip(self.before.ids, unseen.tolist(), strict=True)
-            if target not in seen.own
+            if target not in detections.own
         }
         open_ones = {member for meeting in going_on for member in meeting.members}
-        left = tuple(pair for pair in refused if pair[1] in open_ones)
-        return PlateIdentities(tuple(going_on), entangled, rates, without, left), placings, events
+        refusals = tuple(pair for pair in refused if pair[1] in open_ones)
+        return PlateIdentities(tuple(going_on), entangled, rates, without, refusals), placings, events
 
     def _meet(
-        self, known: PlateIdentities, expected: LiveTracks, seen: Detections, unseen: Ints
+        self, memory: PlateIdentities, expected: LiveTracks, detections: Detections, unseen: Ints
     ) -> tuple[list[Meeting], tuple[tuple[str, str], ...]]:
         """The meetings of the frame: those of before, with others that come close, and new ones."""
-        frame, meetings = self.work.frame.index, list(known.meetings)
-        refused = dict.fromkeys(known.refused)
-        where = {member: meeting for meeting in meetings for member in meeting.members}
+        frame, meetings = self.work.frame.index, list(memory.meetings)
+        refused = dict.fromkeys(memory.refused)
+        meeting_of = {member: meeting for meeting in meetings for member in meeting.members}
         rows = self.before.index
 
         def opened(target: str) -> Meeting:
@@ -207,51 +207,53 @@ class Identifying:
             mean, covariance = self.before.mean[row : row + 1], self.before.covariance[row : row + 1]
             return open_meeting([target], frame, mean, covariance, [self._references(target)], gone)
 
-        for first, second in _close_pairs(expected, self.compiled, known.rates, unseen):
-            one, other = (where.get(name) or opened(name) for name in (first, second))
-            if one is other:
-                now = evolve(one, last_near=frame)
-            elif len(one.members) + len(other.members) > MOST_MEMBERS:
+        for first, second in _close_pairs(expected, self.compiled, memory.rates, unseen):
+            a, b = (meeting_of.get(name) or opened(name) for name in (first, second))
+            if a is b:
+                merged = evolve(a, last_near=frame)
+            elif len(a.members) + len(b.members) > MOST_MEMBERS:
                 refused.update({(first, second): None, (second, first): None})
                 continue
             else:
-                now = evolve(join_meetings(one, other), last_near=frame)
-            meetings = [meeting for meeting in meetings if meeting is not one and meeting is not other]
-            meetings.append(now)
-            where.update(dict.fromkeys(now.members, now))
+                merged = evolve(join_meetings(a, b), last_near=frame)
+            meetings = [meeting for meeting in meetings if meeting is not a and meeting is not b]
+            meetings.append(merged)
+            meeting_of.update(dict.fromkeys(merged.members, merged))
         return meetings, tuple(refused)
 
     def _references(self, target: str) -> Mapping[str, Mapping[str, Floats]]:
         """What the agents remember of what a target looks like."""
         if not self.compiled.looks or self.rule.appearance <= 0.0:
             return {}
-        held = self.targets[target].references
-        return {agent: held[agent] for agent in self.compiled.looks if agent in held}
+        references = self.targets[target].references
+        return {agent: references[agent] for agent in self.compiled.looks if agent in references}
 
     def _rates(
         self,
         rates: SensorRates,
         meetings: Sequence[Meeting],
         expected: LiveTracks,
-        seen: Detections,
+        detections: Detections,
         unseen: Ints,
     ) -> SensorRates:
         """The rates with this frame's targets that are close to no other."""
         met = {member for meeting in meetings for member in meeting.members}
-        alone = [row for row, target in enumerate(expected.ids) if target not in met]
-        shown = [row for row in alone if expected.ids[row] in seen.own]
-        columns = [seen.own[expected.ids[row]] for row in shown]
-        spread = expected.covariance[shown, :4, :4] + seen.variances[columns][:, :, None] * np.eye(4)
-        d2, _ = halves_of_d2(seen.boxes[columns] - expected.mean[shown, :4], spread)
-        fresh = [row for row in alone if unseen[row] == 1]
-        hits = len({*fresh}.intersection(shown))
-        free = sum(owner is None for owner in seen.owners)
-        return rates.learn(d2, unseen[shown], (hits, len(fresh)), free)
+        rows_apart = [row for row, target in enumerate(expected.ids) if target not in met]
+        detected_rows = [row for row in rows_apart if expected.ids[row] in detections.own]
+        columns = [detections.own[expected.ids[row]] for row in detected_rows]
+        spread = expected.covariance[detected_rows, :4, :4] + detections.variances[columns][
+            :, :, None
+        ] * np.eye(4)
+        d2, _ = halves_of_d2(detections.boxes[columns] - expected.mean[detected_rows, :4], spread)
+        fresh = [row for row in rows_apart if unseen[row] == 1]
+        hits = len({*fresh}.intersection(detected_rows))
+        free = sum(owner is None for owner in detections.owners)
+        return rates.learn(d2, unseen[detected_rows], (hits, len(fresh)), free)
 
     def _advanced(
         self, meeting: Meeting, expected: LiveTracks, seen: Detections, rates: SensorRates
     ) -> Meeting:
-        """A meeting, predicted to this frame, after the frame's detections."""
+        """A meeting, predicted to this frame, after the frame's seen."""
         rows, members = expected.index, {*meeting.members}
         spread = meeting.covariance[:, :, None, :4, :4] + seen.variances[:, None] * np.eye(4)
         d2, _ = halves_of_d2(seen.boxes - meeting.mean[:, :, None, :4], spread)
@@ -283,35 +285,35 @@ class Identifying:
         """(n, M) log-likelihoods of what members looked like before they met, at boxes (M, 4)."""
         looks = np.zeros((len(meeting.members), len(boxes)))
         live = [name for name in meeting.members if name in self.work.net.targets]
-        known = [row for row, references in enumerate(meeting.references) if references]
-        if not (len(boxes) and live and known):
+        rows = [row for row, references in enumerate(meeting.references) if references]
+        if not (len(boxes) and live and rows):
             return looks
-        agents = meeting.references[known[0]]
-        several = {agent: [meeting.references[row][agent] for row in known] for agent in agents}
+        agents = meeting.references[rows[0]]
+        several = {agent: [meeting.references[row][agent] for row in rows] for agent in agents}
         # An ended member is asked about in the name of one that lives: only draws go by it.
-        names = [name if name in live else live[0] for name in (meeting.members[row] for row in known)]
-        starts = np.arange(len(known) + 1) * len(boxes)
-        log = score_looks(self.work, self.compiled, names, several, np.tile(boxes, (len(known), 1)), starts)
-        looks[known] = self.rule.appearance * log.reshape(len(known), len(boxes))
+        names = [name if name in live else live[0] for name in (meeting.members[row] for row in rows)]
+        starts = np.arange(len(rows) + 1) * len(boxes)
+        log = score_looks(self.work, self.compiled, names, several, np.tile(boxes, (len(rows), 1)), starts)
+        looks[rows] = self.rule.appearance * log.reshape(len(rows), len(boxes))
         return looks
 
-    def _placed(self, meeting: Meeting, after: LiveTracks, meetings: Sequence[Meeting]) -> Placing | None:
+    def _placed(self, meeting: Meeting, live: LiveTracks, meetings: Sequence[Meeting]) -> Placing | None:
         """Which member each track is: those of members that live, and those that began meanwhile."""
-        rows = after.index
+        rows = live.index
         tracks = [name for name in meeting.members if name in rows]
         if not tracks:
             return None
-        met = {member for one in meetings for member in one.members}
+        met = {member for open_meeting in meetings for member in open_meeting.members}
         heavy = meeting.log_weight > np.log(0.01)
         for name, row in rows.items():
-            if name in met or after.started[row] < meeting.since or len(tracks) == MOST_TRACKS:
+            if name in met or live.started[row] < meeting.since or len(tracks) == MOST_TRACKS:
                 continue
-            away = after.mean[row, :4] - meeting.mean[heavy][..., :4]
-            spread = after.covariance[row, :4, :4] + meeting.covariance[heavy][..., :4, :4]
-            if (halves_of_d2(away, spread)[0][..., 0] < FAR_D2 / 2.0).any():
+            deviations = live.mean[row, :4] - meeting.mean[heavy][..., :4]
+            spread = live.covariance[row, :4, :4] + meeting.covariance[heavy][..., :4, :4]
+            if (halves_of_d2(deviations, spread)[0][..., 0] < FAR_D2 / 2.0).any():
                 tracks.append(name)
-        own = [rows[name] for name in tracks]
-        return place_tracks(meeting, tracks, after.mean[own], after.covariance[own])
+        track_rows = [rows[name] for name in tracks]
+        return place_tracks(meeting, tracks, live.mean[track_rows], live.covariance[track_rows])
 
     def _doubts(
         self, meeting: Meeting, placing: Placing, refused: Sequence[tuple[str, str]]
@@ -319,40 +321,40 @@ class Identifying:
         """What the log says of a meeting that is settled."""
         named, shares = placing.named(), placing.probability
         doubts: list[IdentityDoubtful] = []
-        told: set[tuple[str, str]] = set()
+        reported: set[tuple[str, str]] = set()
         for place, track in enumerate(placing.tracks):
             totals: dict[str, float] = {}
             for names, share in zip(named, shares.tolist(), strict=True):
                 totals[names[place]] = totals.get(names[place], 0.0) + share
-            others = {name: share for name, share in totals.items() if name != track}
-            other = max(others, key=others.__getitem__, default="")
-            if not other or others[other] < self.rule.report_above or (other, track) in told:
+            rivals = {name: share for name, share in totals.items() if name != track}
+            rival = max(rivals, key=rivals.__getitem__, default="")
+            if not rival or rivals[rival] < self.rule.report_above or (rival, track) in reported:
                 continue
-            told.add((track, other))
+            reported.add((track, rival))
             is_own = np.array([names[place] == track for names in named])
-            is_other = np.array([names[place] == other for names in named])
+            is_other = np.array([names[place] == rival for names in named])
             keeps = totals.get(track, 0.0)
-            nats = float(np.log(max(keeps, 1e-300)) - np.log(others[other]))
+            nats = float(np.log(max(keeps, 1e-300)) - np.log(rivals[rival]))
             looks = _mean_of(placing.looks, shares, is_own) - _mean_of(placing.looks, shares, is_other)
-            mutual = (other, track) in {
+            mutual = (rival, track) in {
                 (name, name_of)
                 for names, is_it in zip(named, is_other.tolist(), strict=True)
                 if is_it
                 for name, name_of in zip(placing.tracks, names, strict=True)
             }
-            close = tuple(dict.fromkeys(name for name, member in refused if member in meeting.members))
+            near = tuple(dict.fromkeys(name for name, member in refused if member in meeting.members))
             doubts.append(
                 IdentityDoubtful(
                     self.work.frame.index,
                     track,
-                    other,
+                    rival,
                     meeting.since,
-                    others[other],
+                    rivals[rival],
                     keeps,
                     looks,
                     float(np.clip(nats - looks, -99.0, 99.0)),
                     mutual,
-                    close,
+                    near,
                 )
             )
         return doubts
@@ -379,9 +381,9 @@ class Detections:
         """With the errors that the plate's first agent names."""
         agent, rule = next(iter(compiled.association_rules.items()))
         named = (*owners, *[None] * (len(boxes) - len(owners)))
-        own = {owner: column for column, owner in enumerate(named) if owner}
+        column_of = {owner: column for column, owner in enumerate(named) if owner}
         variances = rule.variances(boxes) * compiled.plate.agent(agent).temperature
-        return cls(boxes, variances, named, own)
+        return cls(boxes, variances, named, column_of)
 
     def log_density(self, column: int, mean: Floats, covariance: Floats, rates: SensorRates) -> float:
         """Log density of a detection that is of a target expected so."""
@@ -414,30 +416,32 @@ def _close_pairs(
     return [(expected.ids[first], expected.ids[second]) for first, second in pairs]
 
 
-def _recognised(events: Sequence[Event], known: Sequence[Entangled], live: Sequence[str]) -> list[Entangled]:
-    """What re-identification leaves open, in the same form: a detection is a remembered target, or new."""
+def _recognised(
+    events: Sequence[Event], entangled: Sequence[Entangled], live: Sequence[str]
+) -> list[Entangled]:
+    """What re-identification leaves open, in the same form: a detection is a memory target, or new."""
     open_ones: list[Entangled] = []
-    taken = {track for one in known for track in one.tracks}
+    handled = {track for group in entangled for track in group.tracks}
     for event in events:
         if isinstance(event, Returned | Reacquired):
-            found, own, other = event.recognition, event.target, event.recognition.rival
+            recognition, own, rival = event.recognition, event.target, event.recognition.rival
         elif isinstance(event, CandidateConfirmed) and event.nearest is not None:
-            found, own, other = event.nearest, event.target, event.nearest.target
+            recognition, own, rival = event.nearest, event.target, event.nearest.target
         else:
             continue
-        if event.target in taken or event.target not in live:
+        if event.target in handled or event.target not in live:
             continue
-        share = found.probability if own == found.target else 1.0 - found.probability
-        rest = found.rival_probability if own == found.target else found.probability
-        if share < SURE and rest > 0.0:
-            pairs = sorted(((share, (own,)), (rest, (other,))), key=lambda pair: -pair[0])
-            total = share + rest
+        share = recognition.probability if own == recognition.target else 1.0 - recognition.probability
+        rival_share = recognition.rival_probability if own == recognition.target else recognition.probability
+        if share < SURE and rival_share > 0.0:
+            pairs = sorted(((share, (own,)), (rival_share, (rival,))), key=lambda pair: -pair[0])
+            total = share + rival_share
             names, shares = tuple(pair[1] for pair in pairs), tuple(pair[0] / total for pair in pairs)
             open_ones.append(Entangled((event.target,), names, shares))
-            taken.add(event.target)
+            handled.add(event.target)
     return open_ones
 
 
-def _mean_of(values: Floats, shares: Floats, which: Floats) -> float:
-    total = float(shares[which].sum())
-    return float((values[which] * shares[which]).sum() / total) if total > 0.0 else 0.0
+def _mean_of(values: Floats, shares: Floats, selected: Floats) -> float:
+    total = float(shares[selected].sum())
+    return float((values[selected] * shares[selected]).sum() / total) if total > 0.0 else 0.0

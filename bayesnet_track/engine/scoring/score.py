@@ -32,8 +32,10 @@ def confidences(rule: Logistic, evidence: Evidence) -> dict[str, float]:
     An agent that saw nothing has none.
     """
     measured = {agent: evidence.measured[agent] for agent in rule.confidence if agent in evidence.measured}
-    said = {agent: 0.0 if own is None else own.confidence for agent, own in measured.items()}
-    return {confidence_feature(agent): log_odds(own) for agent, own in said.items() if own is not None}
+    values = {agent: 0.0 if reading is None else reading.confidence for agent, reading in measured.items()}
+    return {
+        confidence_feature(agent): log_odds(value) for agent, value in values.items() if value is not None
+    }
 
 
 def log_odds(confidence: float) -> float:
@@ -76,9 +78,9 @@ class Place:
     x: float
     y: float
 
-    def distance(self, other: Place) -> float:
+    def distance(self, place: Place) -> float:
         """Distance of the centres, px."""
-        return math.hypot(self.x - other.x, self.y - other.y)
+        return math.hypot(self.x - place.x, self.y - place.y)
 
 
 @dataclass(frozen=True)
@@ -97,21 +99,21 @@ class Encounter:
     behind_nats: float
 
 
-def place_in(frame: int, first: Place, last: Place) -> Place:
+def place_in(frame: int, first: Place, second: Place) -> Place:
     """Place of something in a frame if it moves on as between two places.
 
     >>> place_in(4, Place(1, 0.0, 5.0), Place(2, 3.0, 5.0))
     Place(frame=4, x=9.0, y=5.0)
     """
-    steps = (frame - last.frame) / (last.frame - first.frame)
-    return Place(frame, last.x + steps * (last.x - first.x), last.y + steps * (last.y - first.y))
+    steps = (frame - second.frame) / (second.frame - first.frame)
+    return Place(frame, second.x + steps * (second.x - first.x), second.y + steps * (second.y - first.y))
 
 
 def motion_before(places: Sequence[Place]) -> tuple[Place, Place] | None:
     """Two places that show how the target moved before a look-alike was noticed; None with fewer places."""
-    told = places[:-BEFORE][-SPAN:]
-    told = told if len(told) > 1 else places[:2]
-    return (told[0], told[-1]) if len(told) > 1 else None
+    considered = places[:-BEFORE][-SPAN:]
+    considered = considered if len(considered) > 1 else places[:2]
+    return (considered[0], considered[-1]) if len(considered) > 1 else None
 
 
 def distances_since(met: Encounter, place: Place, side_px: float) -> tuple[float, float] | None:
@@ -122,10 +124,10 @@ def distances_since(met: Encounter, place: Place, side_px: float) -> tuple[float
     """
     if met.own is None or met.first.frame == met.last.frame or place.frame - met.last.frame > LASTS:
         return None
-    own, other = place_in(place.frame, *met.own), place_in(place.frame, met.first, met.last)
-    if own.distance(other) <= APART_BOX * side_px:
+    own_place, other_place = place_in(place.frame, *met.own), place_in(place.frame, met.first, met.last)
+    if own_place.distance(other_place) <= APART_BOX * side_px:
         return None
-    return place.distance(own) / side_px, place.distance(other) / side_px
+    return place.distance(own_place) / side_px, place.distance(other_place) / side_px
 
 
 Region = tuple[float, float, float, float]
@@ -214,44 +216,44 @@ class ScoreState:
         measures: Measures,
         step: Step[Posterior],
         ud_px2: float | None,
-        further: Mapping[str, float] = MappingProxyType({}),
+        features: Mapping[str, float] = MappingProxyType({}),
     ) -> ScoreState:
-        """With one frame more; `ud_px2` is the root's UD, `further` the features that the caller computes.
+        """With one frame more; `ud_px2` is the root's UD, `features` the features that the caller computes.
 
         Those of verifiers and agents that say nothing keep their values, and so does `log_ud_box` without a
         UD: a belief is as wide as the search that made it, or has nothing to go by where nothing fits.
         """
         seeing = [agent for agent in measures.kl if agent not in measures.silent]
-        own = {agent: _log_evidence(step, agent) for agent in seeing}
-        usual = dict(self.usual)
-        for agent, value in own.items():
-            if len(usual.get(agent, ())) < USUAL_FRAMES:
-                usual[agent] = (*usual.get(agent, ()), value)
+        log_evidence = {agent: _log_evidence(step, agent) for agent in seeing}
+        usual_evidence = dict(self.usual)
+        for agent, value in log_evidence.items():
+            if len(usual_evidence.get(agent, ())) < USUAL_FRAMES:
+                usual_evidence[agent] = (*usual_evidence.get(agent, ()), value)
         side = math.sqrt(max(measures.area_px2, 1.0))
         first = side if self.side_px is None else self.side_px
-        found = {
+        values = {
             **({} if ud_px2 is None else {"log_ud_box": _log(ud_px2 / side**2)}),
-            "evidence": _mean([own[agent] - median(usual[agent]) for agent in seeing]),
+            "evidence": _mean([log_evidence[agent] - median(usual_evidence[agent]) for agent in seeing]),
             # Below `full_fit` the bound says at once what the frame is worth: its memory needs no more.
             "log_fit": _log(max(measures.fit, rule.full_fit)),
             "agreement": _agreement(step, seeing),
             "log_size": abs(math.log(side / first)),
-            **{name: max(value, LEAST_LOG) for name, value in further.items()},
+            **{name: max(value, LEAST_LOG) for name, value in features.items()},
         }
         unfit = measures.fit < rule.full_fit
         # What the evidence was while nothing fitted, as in a black frame, is forgotten when something does.
         forgets = unfit or self.unfit
-        before = {name: self.smooth.get(name, value) for name, value in found.items()}
-        before |= {name: value for name, value in found.items() if forgets and name not in OF_THE_BOX}
+        previous = {name: self.smooth.get(name, value) for name, value in values.items()}
+        previous |= {name: value for name, value in values.items() if forgets and name not in OF_THE_BOX}
         gain = 1.0 - math.exp(-1.0 / rule.memory_frames) if rule.memory_frames else 1.0
         smooth = {
-            name: value if gain == 1.0 else before[name] + gain * (value - before[name])
-            for name, value in found.items()
+            name: value if gain == 1.0 else previous[name] + gain * (value - previous[name])
+            for name, value in values.items()
         }
-        known = {**self.smooth, **smooth}
-        smooth = {name: known[name] for name in rule.coefficients if name in known}
+        merged = {**self.smooth, **smooth}
+        smooth = {name: merged[name] for name in rule.coefficients if name in merged}
         doubt = max(self.doubt - 1, 0)
-        return evolve(self, smooth=smooth, usual=usual, side_px=first, doubt=doubt, unfit=unfit)
+        return evolve(self, smooth=smooth, usual=usual_evidence, side_px=first, doubt=doubt, unfit=unfit)
 
     def features(self, rule: Logistic) -> dict[str, float]:
         """Feature -> its filtered value; 0 of one that has had none."""
@@ -264,9 +266,9 @@ def extent_beyond(box: Floats, frame: Frame) -> float:
     A target at the edge of the image is not one that leaves, and its box is not exact.
     """
     x, y, w, h = box.tolist()
-    across: float = max(w / 2 - x - 0.5, x + w / 2 + 0.5 - frame.width) / w
-    down: float = max(h / 2 - y - 0.5, y + h / 2 + 0.5 - frame.height) / h
-    return min(max(across / BEYOND, down / BEYOND, 0.0), 1.0)
+    beyond_x: float = max(w / 2 - x - 0.5, x + w / 2 + 0.5 - frame.width) / w
+    beyond_y: float = max(h / 2 - y - 0.5, y + h / 2 + 0.5 - frame.height) / h
+    return min(max(beyond_x / BEYOND, beyond_y / BEYOND, 0.0), 1.0)
 
 
 def probability(rule: Logistic, features: Mapping[str, float]) -> float:
@@ -306,16 +308,16 @@ def blur_regions(posterior: Posterior, rule: Localization, score: float, side_px
     s = `side_px`: a mixture of being on target and off it. Without `lost_sd_box`, p = 1. With a heavy tail,
     the first sd is `factor` times as large in the share `weight`.
     """
-    near = max(rule.sd_box * side_px, 1e-6)
-    far = near if rule.lost_sd_box is None else rule.lost_sd_box * side_px
-    held = 1.0 if rule.lost_sd_box is None else score
+    sd = max(rule.sd_box * side_px, 1e-6)
+    lost_sd = sd if rule.lost_sd_box is None else rule.lost_sd_box * side_px
+    p = 1.0 if rule.lost_sd_box is None else score
     tail, factor = (0.0, 1.0) if rule.heavy_tail is None else (rule.heavy_tail.weight, rule.heavy_tail.factor)
-    sds, shares = (near, factor * near, far), (held * (1.0 - tail), held * tail, 1.0 - held)
+    sds, shares = (sd, factor * sd, lost_sd), (p * (1.0 - tail), p * tail, 1.0 - p)
     levels = (0.05, 0.25, 0.75, 0.95)
     (x5, x25, x75, x95), (y5, y25, y75, y95) = mixture_quantiles(
         marginal_points(posterior), sds, shares, levels
     ).tolist()
-    variance = sum(share * sd**2 for share, sd in zip(shares, sds, strict=True))
+    variance = sum(share * s**2 for share, s in zip(shares, sds, strict=True))
     return BlurredRegions((x25, x75, y25, y75), (x5, x95, y5, y95), variance)
 
 
@@ -334,9 +336,9 @@ def _log_evidence(step: Step[Posterior], agent: str) -> float:
 
 
 def _agreement(step: Step[Posterior], agents: list[str]) -> float:
-    best = int(step.support.weights.log.argmax())
+    peak = int(step.support.weights.log.argmax())
     messages = [step.evidence.messages[agent] for agent in agents]
-    return _mean([max(float(one[best]) - float(one.max()), LEAST_LOG) for one in messages])
+    return _mean([max(float(message[peak]) - float(message.max()), LEAST_LOG) for message in messages])
 
 
 def _mean(values: list[float]) -> float:
@@ -412,37 +414,37 @@ def follow_fit(scored: ScoreState, rule: Lost, look: Sighting) -> tuple[ScoreSta
         if look.score >= rule.score_below:
             if look.score < (rule.uncertain_below or rule.score_below):
                 return evolve(scored, low=0), 1.0, None
-            held = (*scored.fits, log_fit)[-FIT_FRAMES:]
-            return evolve(scored, low=0, fits=held, place=(look.x, look.y)), 1.0, None
+            usual_fits = (*scored.fits, log_fit)[-FIT_FRAMES:]
+            return evolve(scored, low=0, fits=usual_fits, place=(look.x, look.y)), 1.0, None
         low = scored.low + 1
         is_lost = low >= rule.frames and len(scored.fits) >= LEAST_FRAMES
         return evolve(scored, low=low, missing=look.frame - low + 1 if is_lost else None), 1.0, None
     share = math.exp(log_fit - median(scored.fits))
     moved_px = math.hypot(look.x - scored.place[0], look.y - scored.place[1])
-    away = moved_px / look.side_px
-    strict = 1.0 / (1.0 + min(away, FAR_BOX))
+    distance_box = moved_px / look.side_px
+    strict = 1.0 / (1.0 + min(distance_box, FAR_BOX))
     level = rule.found_fit**strict
     if share < level:
-        return evolve(scored, again=()), 0.5 * (share / level) ** min(away, 1.0), None
-    again = (*scored.again, min(share, 1.0) ** (1.0 / strict))
-    if len(again) < rule.frames:
-        return evolve(scored, again=again), 1.0, None
+        return evolve(scored, again=()), 0.5 * (share / level) ** min(distance_box, 1.0), None
+    fits_again = (*scored.again, min(share, 1.0) ** (1.0 / strict))
+    if len(fits_again) < rule.frames:
+        return evolve(scored, again=fits_again), 1.0, None
     # Where the target was badly held its usual fit is poor, and a look-alike reaches it, but no high score.
-    beyond = min(max(away - 1.0, 0.0), FAR_BOX)
+    beyond = min(max(distance_box - 1.0, 0.0), FAR_BOX)
     score_level = (rule.uncertain_below or rule.score_below) ** (1.0 / (1.0 + beyond))
     if look.score < score_level:
-        return evolve(scored, again=again[1:]), 0.5, None
-    found = FoundAgain(
+        return evolve(scored, again=fits_again[1:]), 0.5, None
+    event = FoundAgain(
         look.frame,
         look.target,
         share,
         level,
         rule.found_fit,
         rule.frames,
-        min(again),
+        min(fits_again),
         scored.missing,
         moved_px,
         look.score,
         score_level,
     )
-    return evolve(scored, missing=None, again=(), low=0), 1.0, found
+    return evolve(scored, missing=None, again=(), low=0), 1.0, event
