@@ -33,6 +33,12 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     add_output_options(parser)
     add_checkpoints(parser)
     add_executor_options(parser)
+    parser.add_argument(
+        "--allow-other-machine",
+        action="store_true",
+        help="of --hosts ray: take hosts with another type of processor, or other versions, although the "
+        "last digits of results are others then",
+    )
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -78,10 +84,11 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--hosts",
-        choices=["engine", "process"],
+        choices=["engine", "process", "ray"],
         default="engine",
         help="where each of several cameras is decoded, and the agents that look at it work: in the engine's "
-        "process, or in one of its own (default engine)",
+        "process, in one of its own, or on the node of a Ray cluster that has a resource of the camera's "
+        "name (default engine)",
     )
     group.add_argument(
         "--workers",

@@ -227,8 +227,8 @@ def open_cameras(
         if executing is None or executing.hosts == "engine":
             openers[camera] = partial(open_source, text, size=size, **how)
         else:
-            told = {name: value for name, value in how.items() if name != "live"}
-            origin = Origin("plain", text, shown_address(text), size=size, **told)
+            settings = {name: value for name, value in how.items() if name != "live"}
+            origin = Origin("plain", text, shown_address(text), size=size, **settings)
             openers[camera] = partial(executing.open_camera, camera, origin)
     merged = SeveralSources.opened(openers, start, end)
     with ExitStack() as stack:

@@ -18,7 +18,7 @@ from bayesnet_track.cli.batch.places import Needs, Processes, Progress
 from bayesnet_track.cli.batch.results import Ledger, Results, overview
 from bayesnet_track.cli.batch.work import ROW, do, failed_row
 from bayesnet_track.cli.main import main
-from bayesnet_track.runtime.executors.processes import PlacingError
+from bayesnet_track.runtime.executors.workers import PlacingError
 from bayesnet_track.sources.scenes import make_scene
 
 SCENE = make_scene("two_squares", 0)

@@ -15,8 +15,8 @@ import pytest
 from bayesnet_track import Start, open_run, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.journal.events.runs import MachineChanged, RunEnded
-from bayesnet_track.runtime.checkpoints.origins import describe_machine
-from bayesnet_track.runtime.checkpoints.resume import ResumeError, name_differences, resume
+from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences
+from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 6

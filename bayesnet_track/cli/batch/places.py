@@ -19,7 +19,7 @@ from typing import Protocol
 from bayesnet_track.cli.batch.jobs import Job
 from bayesnet_track.cli.batch.work import FINISHED, Row, failed_row, timed_out_row
 from bayesnet_track.observation.child import cut, python, tie
-from bayesnet_track.runtime.executors.processes import PlacingError
+from bayesnet_track.runtime.executors.workers import PlacingError
 
 FILES_EACH, FILES_MORE = 12, 12
 """Files that this process opens for a run, most of them while it is started, and that it needs besides."""

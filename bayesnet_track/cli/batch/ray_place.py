@@ -16,9 +16,8 @@ from typing import Any
 from bayesnet_track.cli.batch.jobs import Job, allow
 from bayesnet_track.cli.batch.places import MOST_JOBS, WAIT_S, Needs, Progress
 from bayesnet_track.cli.batch.work import EVERY_S, Row, failed_row, timed_out_row
-from bayesnet_track.runtime.executors.processes import PlacingError
+from bayesnet_track.runtime.executors.worker_pool import connect
 
-MISSING = "Ray is not installed: pip install 'bayesnet-track[ray]'"
 RETRIES = 2
 """How often a job whose process or node died is started again."""
 
@@ -126,29 +125,6 @@ class _Reports:
         """The messages since the last time."""
         messages, self._held = self._held, []
         return messages
-
-
-def connect(address: str | None) -> bool:
-    """Connect to the cluster at `address`, or start one here; whether it has to be shut down again.
-
-    Raises:
-        PlacingError: Ray is not installed, or there is no cluster.
-    """
-    try:
-        import ray
-    except ImportError:
-        raise PlacingError(MISSING) from None
-    if ray.is_initialized():
-        return False
-    try:
-        if address is None:
-            ray.init(log_to_driver=False, logging_level="error", include_dashboard=False)
-        else:
-            ray.init(address=address, log_to_driver=False, logging_level="error")
-    except Exception as error:  # what Ray raises when it is not up in time has no class of its own
-        where = "Ray cannot be started here" if address is None else f"no Ray cluster at {address}"
-        raise PlacingError(f"{where}: {' '.join(str(error).split())}") from error
-    return True
 
 
 class _Late(Exception):

@@ -347,13 +347,14 @@ def executor_of(options: argparse.Namespace) -> Executing:
     from bayesnet_track.runtime.executors import Limits, PlacingError, make_executor, parse_places
     from bayesnet_track.runtime.stop import has_workers, no_workers
 
-    if (options.executor == "processes" or options.hosts == "process") and not has_workers():
+    if (options.executor == "processes" or options.hosts != "engine") and not has_workers():
         raise UsageError(no_workers())
     patience, least = options.agent_timeout, Limits()
     limits = Limits(
         least.answer_s if patience is None else patience,
         max(least.first_s, patience or 0.0),
         options.agent_memory or 0,
+        getattr(options, "allow_other_machine", False),
     )
     try:
         places = parse_places(options.place)

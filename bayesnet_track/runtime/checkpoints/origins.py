@@ -123,6 +123,32 @@ def _decoder() -> dict[str, str]:
     return {"FFmpeg": " ".join(f"{n} {'.'.join(map(str, av.library_versions[n]))}" for n in names)}
 
 
+def name_differences(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    """Differences between two descriptions, in words.
+
+    >>> name_differences({"NumPy CPU": "SSE2 AVX2"}, {"NumPy CPU": "SSE2"})
+    ('NumPy CPU: without AVX2',)
+    >>> name_differences({"zlib": "1.2"}, {"zlib": "1.3"}), name_differences({}, {"zlib": "1.3"})
+    (('zlib 1.2, now 1.3',), ())
+    """
+    names = dict.fromkeys((*then, *now))
+    if "zlib" not in then:
+        names.pop("zlib", None)  # earlier runs did not record it
+    return tuple(
+        _difference(name, then.get(name), now.get(name)) for name in names if then.get(name) != now.get(name)
+    )
+
+
+def _difference(name: str, then: str | None, now: str | None) -> str:
+    before, after = (then or "").split(), (now or "").split()
+    if not name.endswith("CPU") or not (before and after):
+        return f"{name} {then or 'none'}, now {now or 'none'}"
+    without = [word for word in before if word not in after]
+    more = [word for word in after if word not in before]
+    parts = [f"{word} {' '.join(words)}" for word, words in (("without", without), ("with", more)) if words]
+    return f"{name}: {', '.join(parts)}"
+
+
 AGAIN = "start again once nothing writes it"
 
 

@@ -12,7 +12,6 @@ from bayesnet_track.runtime.executors.placing import (
     make_executor,
     parse_places,
 )
-from bayesnet_track.runtime.executors.processes import PlacingError
-from bayesnet_track.runtime.executors.workers import Limits
+from bayesnet_track.runtime.executors.workers import Limits, PlacingError
 
 __all__ = ["EXECUTORS", "RETRIES", "Executing", "Limits", "PlacingError", "make_executor", "parse_places"]

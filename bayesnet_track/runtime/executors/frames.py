@@ -341,7 +341,7 @@ class HostedSource:
         self._camera, self._ask, self.close = camera, ask, close
         self.description = origin.description
         self.end_reason: EndReason = "end_of_source"
-        opened = self._asked("open")
+        opened = self._ask_host("open")
         if len(opened) != len(("header", "origin", "notices")):
             raise SourceError(*opened)
         header, marked, notices = opened
@@ -353,27 +353,30 @@ class HostedSource:
     def __iter__(self) -> Iterator[SourceItem]:
         number = -1
         while True:
-            items, self.end_reason = self._asked("read_next", number)
+            items, self.end_reason = self._ask_host("read_next", number)
             for item in items:
                 yield item.frame() if isinstance(item, HostedFrame) else item
             if not items or not isinstance(items[-1], HostedFrame):
                 return
             number = items[-1].number
 
-    def _asked(self, method: str, *arguments: int) -> Any:
+    def _ask_host(self, method: str, *arguments: int) -> Any:
         """The answer of the host, where frames wait for it."""
         try:
             return self._ask(Call(stream_name(self._camera), method, None, None, arguments))
         except Exception as error:  # of any type: it was raised in another process
-            after = "".join(f" after {number}" for number in arguments)
+            position = "".join(f" after {number}" for number in arguments)
             raise SourceError(
                 self.description,
-                f"the host of camera {self._camera} gave no frame{after}: {error}",
+                f"the host of camera {self._camera} gave no frame{position}: {error}",
                 "a host that can read the video",
                 f"use {setting('--hosts', 'engine')}, or resume the run",
             ) from error
 
 
+STREAM = "camera "
+
+
 def stream_name(camera: str) -> str:
     """The name by which the stream of a camera is asked."""
-    return f"camera {camera}"
+    return STREAM + camera

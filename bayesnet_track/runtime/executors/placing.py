@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
-import sys
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, Self
-
-import numpy as np
 
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.numerics.arrays import Floats
@@ -29,13 +24,13 @@ from bayesnet_track.runtime.executors.frames import (
 from bayesnet_track.runtime.executors.processes import (
     Learnt,
     Placed,
-    PlacingError,
     Processes,
     SentFrames,
     Transport,
 )
-from bayesnet_track.runtime.executors.worker_pool import AgentSpec
-from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError
+from bayesnet_track.runtime.executors.worker import one_thread_inside
+from bayesnet_track.runtime.executors.worker_pool import AgentSpec, RayHosts
+from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError, PlacingError
 from bayesnet_track.runtime.stop import has_workers, no_workers
 from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.origin import Origin
@@ -85,7 +80,7 @@ def make_proxy(agent: str, cue: AnyCue, transport: Transport, sent: SentFrames) 
     return proxy
 
 
-Hosts = Literal["engine", "process"]
+Hosts = Literal["engine", "process", "ray"]
 Place = Literal["engine", "process"]
 PLACES: tuple[Place, ...] = ("engine", "process")
 
@@ -197,55 +192,6 @@ def _declarations(engine: Engine, cues: Mapping[str, CueDeclaration] | None) -> 
     }
 
 
-NAMES = ("scipy_openblas_{}64_", "scipy_openblas_{}", "openblas_{}64_", "openblas_{}")
-
-
-@contextmanager
-def one_thread_inside(opencv: bool) -> Iterator[None]:
-    """While entered, NumPy's matrix products use one thread each, and so do, with `opencv`, its functions.
-
-    The last bits of a matrix product depend on the number of its threads. Workers have one, and so the engine
-    must, for the same bytes; none of OpenCV's functions that are used here depends on it.
-    """
-    import cv2
-
-    blas = _blas()
-    thread_counts = cv2.getNumThreads(), [get() for get, _ in blas]
-    if opencv:
-        cv2.setNumThreads(1)
-    for _, set_threads in blas:
-        set_threads(1)
-    try:
-        yield
-    finally:
-        if opencv:
-            cv2.setNumThreads(thread_counts[0])
-        for (_, set_threads), threads in zip(blas, thread_counts[1], strict=True):
-            set_threads(threads)
-
-
-@cache
-def _blas() -> list[tuple[Any, Any]]:
-    """Functions that get and set the number of threads of each OpenBLAS in the wheels of NumPy and SciPy."""
-    site = Path(np.__file__).parent.parent
-    functions = []
-    for package in ("numpy", "scipy"):
-        if package not in sys.modules:
-            continue
-        for file in sorted((site / f"{package}.libs").glob("*openblas*")):
-            try:
-                library = ctypes.CDLL(str(file))
-            except OSError:
-                continue
-            for name in NAMES:
-                get = getattr(library, name.format("get_num_threads"), None)
-                set_threads = getattr(library, name.format("set_num_threads"), None)
-                if get is not None and set_threads is not None:
-                    functions.append((get, set_threads))
-                    break
-    return functions
-
-
 NO_PLACES: Mapping[str, Place] = MappingProxyType({})
 RETRIES = 2
 """How often an agent whose worker was lost is asked again, where frames wait for it."""
@@ -328,7 +274,8 @@ class Executing:
             if not has_workers():
                 raise PlacingError(no_workers())
             attempts = retries if self._retries is None else self._retries
-            self.processes = Processes(self.workers, self._limits, attempts)
+            hosts = RayHosts(self._limits) if self.hosts == "ray" else None
+            self.processes = Processes(self.workers, self._limits, attempts, hosts)
         return self.processes
 
     def engine(self, engine: Engine, retries: int = RETRIES) -> Engine:
@@ -388,7 +335,8 @@ def make_executor(
             not wait for it: those of a camera, or with a budget.
         cues: declarations by name, where not the installed ones.
         hosts: of several cameras, where the frames of each are decoded, and its agents work that look at
-            them: in the engine's process, or in one of its own.
+            them: in the engine's process, in one of its own, or on the node of a Ray cluster that has a
+            resource with the camera's name.
 
     Raises:
         ValueError: there is no such executor, or `workers` is less than 1.

@@ -6,7 +6,7 @@ import pickle
 import select
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from threading import RLock
@@ -21,11 +21,12 @@ from bayesnet_track.observation.cue import Making, Reference
 from bayesnet_track.observation.planes import Frame, FramePair, Plane, Planes, Region
 from bayesnet_track.runtime.executors.frames import FrameStore
 from bayesnet_track.runtime.executors.messages import LEARN_AND_BLEND, Answer, Call, Foreign
-from bayesnet_track.runtime.executors.worker_pool import AgentSpec, Slot, WorkerPool
+from bayesnet_track.runtime.executors.worker_pool import AgentSpec, RayHosts, Slot, WorkerPool
 from bayesnet_track.runtime.executors.workers import (
     Late,
     Limits,
     NoWorkerError,
+    PlacingError,
     Worker,
     WorkerGone,
     WorkerLost,
@@ -173,10 +174,6 @@ COMING_S = 0.002
 """Seconds after which it is looked whether a worker that is being started is there."""
 
 
-class PlacingError(ValueError):
-    """An agent cannot be where it was put; says why."""
-
-
 class Processes:
     """Agents in supervised worker processes.
 
@@ -188,15 +185,14 @@ class Processes:
         retries: further attempts; 0 where time does not wait for them.
         patience: for how long answers are waited for; a later one is dropped (`AgentUnavailable`), and its
             worker works on, for this agent alone. None for as long as they take.
+        hosts: start hosts of cameras elsewhere; None for processes here.
     """
 
-    def __init__(self, workers: int, limits: Limits, retries: int = 2) -> None:
-        self.retries, self.patience = retries, None
-        try:
+    def __init__(self, workers: int, limits: Limits, retries: int, hosts: RayHosts | None) -> None:
+        self.retries, self.patience, self.hosts = retries, None, hosts
+        with _starting():
             self._store = FrameStore()
-            self._pool = WorkerPool(workers, limits, self._store.descriptor)
-        except OSError as error:
-            raise PlacingError(str(NoWorkerError(error.strerror or str(error)))) from error
+        self._pool = WorkerPool(workers, limits, self._store.descriptor, hosts)
         self._unsent: list[Pending] = []
         self._frames = 0
         self._asking = RLock()
@@ -207,7 +203,8 @@ class Processes:
         """Take in agents, those that may be anywhere all at once; raises PlacingError."""
         for agent, spec in agents.items():
             _check_sendable(agent, spec)
-        self._pool.add(agents)
+        with _starting():
+            self._pool.add(agents)
 
     def send_frame(self, frame: Frame) -> Any:
         """Place the frame in the shared memory; with a new one, agents are placed anew if need be.
@@ -383,6 +380,15 @@ class Processes:
         self._drive(late)
         if isinstance(late.outcome, Exception):
             raise late.outcome
+
+
+@contextmanager
+def _starting() -> Iterator[None]:
+    """Make an OSError while it is entered a PlacingError."""
+    try:
+        yield
+    except OSError as error:
+        raise PlacingError(str(NoWorkerError(error.strerror or str(error)))) from error
 
 
 def _end(slot: Slot) -> float:

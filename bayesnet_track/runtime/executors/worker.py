@@ -8,14 +8,16 @@ answers alike.
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -269,7 +271,7 @@ def _work(channel: int, lifeline: int, frames: int, memory_mb: int) -> None:
 
 
 def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
-    """Answer questions until the channel closes."""
+    """Answer questions until the channel closes; `frames` is -1 where no memory is shared."""
     from bayesnet_track.runtime.executors.frames import FrameView
 
     host = AgentHost(FrameView(frames).get, is_limited)
@@ -282,3 +284,68 @@ def _serve(channel: socket.socket, frames: int, is_limited: bool) -> None:
                     host.unassign(agent)
                 case question:
                     send(channel, host.answer(question))
+
+
+NAMES = ("scipy_openblas_{}64_", "scipy_openblas_{}", "openblas_{}64_", "openblas_{}")
+
+
+@contextmanager
+def one_thread_inside(opencv: bool) -> Iterator[None]:
+    """While entered, NumPy's matrix products use one thread each, and so do, with `opencv`, its functions.
+
+    The last bits of a matrix product depend on the number of its threads. Workers have one, and so the engine
+    must, for the same bytes; none of OpenCV's functions that are used here depends on it.
+    """
+    import cv2
+
+    blas = _blas()
+    thread_counts = cv2.getNumThreads(), [get() for get, _ in blas]
+    if opencv:
+        cv2.setNumThreads(1)
+    for _, set_threads in blas:
+        set_threads(1)
+    try:
+        yield
+    finally:
+        if opencv:
+            cv2.setNumThreads(thread_counts[0])
+        for (_, set_threads), threads in zip(blas, thread_counts[1], strict=True):
+            set_threads(threads)
+
+
+@cache
+def _blas() -> list[tuple[Any, Any]]:
+    """Functions that get and set the number of threads of each OpenBLAS in the wheels of NumPy and SciPy."""
+    site = Path(np.__file__).parent.parent
+    functions = []
+    for package in ("numpy", "scipy"):
+        if package not in sys.modules:
+            continue
+        for file in sorted((site / f"{package}.libs").glob("*openblas*")):
+            try:
+                library = ctypes.CDLL(str(file))
+            except OSError:
+                continue
+            for name in NAMES:
+                get = getattr(library, name.format("get_num_threads"), None)
+                set_threads = getattr(library, name.format("set_num_threads"), None)
+                if get is not None and set_threads is not None:
+                    functions.append((get, set_threads))
+                    break
+    return functions
+
+
+class CameraHost:
+    """The host of a camera as a Ray actor."""
+
+    def serve(self, address: tuple[str, int], token: bytes, cue_files: bytes) -> None:
+        """Connect to the engine at `address`, say which machine this is, and answer until it goes."""
+        from bayesnet_track.runtime.checkpoints.origins import describe_machine
+
+        with socket.create_connection(address) as channel:
+            channel.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            channel.sendall(token)
+            _load(cue_files)
+            send(channel, dict(describe_machine()))
+            with one_thread_inside(opencv=True):
+                _serve(channel, -1, False)

@@ -1,20 +1,36 @@
-"""Agents and their workers: workers started, agents packed, set apart and let go."""
+"""Agents and their workers: workers started, here or on Ray, agents packed, set apart and let go."""
 
 from __future__ import annotations
 
+import hmac
+import json
+import secrets
+import signal
+import socket
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, wait
+from contextlib import suppress
 from dataclasses import dataclass
 from threading import Thread
 from typing import Any
 
 from bayesnet_track.inference.asking import AgentUnavailable
+from bayesnet_track.observation.cue_files import pack as pack_cue_files
+from bayesnet_track.observation.settings import setting
+from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences
+from bayesnet_track.runtime.executors.frames import STREAM
+from bayesnet_track.runtime.executors.messages import receive
+from bayesnet_track.runtime.executors.worker import CameraHost
 from bayesnet_track.runtime.executors.workers import (
+    START_S,
     ForkServer,
     Late,
     Limits,
+    NoHostError,
     NoWorkerError,
+    PlacingError,
     Worker,
     WorkerLost,
 )
@@ -77,14 +93,154 @@ class AgentSpec:
     stream: str = ""
 
 
+MISSING = "Ray is not installed: pip install 'bayesnet-track[ray]'"
+
+
+def connect(address: str | None) -> bool:
+    """Connect to the Ray cluster at `address`, or start one here; true if it has to be shut down again.
+
+    Raises:
+        PlacingError: Ray is not installed, or there is no cluster.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise PlacingError(MISSING) from None
+    if ray.is_initialized():
+        return False
+    handler = signal.getsignal(signal.SIGTERM)  # Ray takes it, and ends the program
+    try:
+        if address is None:
+            ray.init(log_to_driver=False, logging_level="error", include_dashboard=False)
+        else:
+            ray.init(address=address, log_to_driver=False, logging_level="error")
+    except Exception as error:  # what Ray raises when it is not up in time has no class of its own
+        failure = "Ray cannot be started here" if address is None else f"no Ray cluster at {address}"
+        raise PlacingError(f"{failure}: {' '.join(str(error).split())}") from error
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)
+    return True
+
+
+TOKEN_BYTES = 32
+SHARE = 0.001
+"""Of a node's resource that a host takes: many runs may read one camera."""
+LOOK_S = 0.25
+
+
+class RayHosts:
+    """Hosts of cameras as Ray actors, each on a node that has a resource with the name of its camera.
+
+    An actor connects back to the engine, and is a worker like others from then on. For several threads.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        """Connect to the cluster that `RAY_ADDRESS` names, or that runs here; raises PlacingError."""
+        self._owns_ray = connect("auto")
+        self._limits = limits
+        self._hosted: set[str] = set()
+        self.actors: dict[int, Any] = {}
+
+    def worker(self, camera: str) -> tuple[socket.socket, int, int]:
+        """A new host: the channel to it, no lifeline (-1), and its number.
+
+        A node for one that was lost is waited for as long as for a first answer.
+
+        Raises:
+            NoHostError: there is no such node, the actor fails, or its machine would give other last digits.
+        """
+        import ray
+
+        began_s = time.monotonic()
+        while not any(node["Alive"] and camera in node["Resources"] for node in ray.nodes()):
+            if camera not in self._hosted or time.monotonic() - began_s > self._limits.first_s:
+                raise NoHostError(
+                    camera,
+                    f"no node of the Ray cluster has the resource {camera!r}; start one where its source is, "
+                    f"with the resources {json.dumps({camera: 1})}",
+                )
+            time.sleep(LOOK_S)
+        token = secrets.token_bytes(TOKEN_BYTES)
+        with socket.create_server((ray.util.get_node_ip_address(), 0)) as listening:
+            options = {"num_cpus": 0, "resources": {camera: SHARE}}
+            actor = ray.remote(CameraHost).options(**options).remote()
+            ending = actor.serve.remote(listening.getsockname(), token, pack_cue_files())
+            try:
+                channel = _accept(camera, listening, token, ending)
+                differences = name_differences(describe_machine(), receive(channel))
+            except (OSError, EOFError) as error:
+                ray.kill(actor)
+                raise NoHostError(camera, f"its actor was lost while it started ({error})") from error
+            except NoHostError:
+                ray.kill(actor)
+                raise
+        if differences and not self._limits.allow_other_machine:
+            ray.kill(actor)
+            raise NoHostError(
+                camera,
+                f"its machine or libraries are others than the engine's, which give other last digits: "
+                f"{'; '.join(differences)}; {setting('--allow-other-machine')} goes on all the same",
+            )
+        channel.settimeout(None)  # as of a worker, whose patience is the kernel's
+        self._hosted.add(camera)
+        number = len(self.actors) + 1
+        self.actors[number] = actor
+        return channel, -1, number
+
+    def ended(self, pid: int) -> None:
+        """End the actor of that number."""
+        import ray
+
+        if ray.is_initialized():  # else it would start a cluster, and the actor is gone
+            with suppress(ray.exceptions.RayError):
+                ray.kill(self.actors[pid])
+
+    def close(self) -> None:
+        """End all actors."""
+        import ray
+
+        for number in self.actors:
+            self.ended(number)
+        if self._owns_ray:
+            ray.shutdown()
+            self._owns_ray = False
+
+
+def _accept(camera: str, listening: socket.socket, token: bytes, ending: Any) -> socket.socket:
+    """The connection of the actor that knows `token`; raises NoHostError where it ends or is late."""
+    import ray
+
+    listening.settimeout(LOOK_S)
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline:
+        with suppress(TimeoutError):
+            channel, _ = listening.accept()
+            channel.settimeout(LOOK_S * 4)
+            if hmac.compare_digest(channel.recv(TOKEN_BYTES, socket.MSG_WAITALL), token):
+                channel.settimeout(START_S)
+                channel.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                return channel
+            channel.close()
+        if ray.wait([ending], timeout=0)[0]:
+            try:
+                ray.get(ending)
+            except ray.exceptions.RayError as error:
+                raise NoHostError(camera, f"its actor failed: {' '.join(str(error).split())}") from error
+            raise EOFError("it ended")
+    raise NoHostError(camera, f"its actor was not there in {START_S:.3g} s")
+
+
 class Slot:
     """A place for a worker, which may be empty, or one that is being started for it.
 
     Attributes:
+        camera: whose host the worker is to be; "" of any other.
         asked: the question that its worker works on, and that is waited for; else None.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, camera: str = "") -> None:
+        self.camera = camera
         self.worker: Worker | None = None
         self.coming: Future[Worker] | None = None
         self.agents: set[str] = set()
@@ -96,15 +252,17 @@ class WorkerPool:
 
     Args:
         frames: descriptor of the frames' memory.
+        ray_hosts: start hosts of cameras elsewhere; None for processes here.
     """
 
-    def __init__(self, workers: int, limits: Limits, frames: int) -> None:
+    def __init__(self, workers: int, limits: Limits, frames: int, ray_hosts: RayHosts | None) -> None:
         self._hosts: dict[str, Slot] = {}
         self._free: list[Slot] = []
         self.slots: list[Slot] = []
         self._agents: dict[str, AgentSpec] = {}
         self._workers, self._limits = workers, limits
-        self._fork_server = ForkServer(frames, limits.memory_mb, limits.answer_s)
+        self._frames_memory, self._ray_hosts = frames, ray_hosts
+        self._fork_server: ForkServer | None = None
         self._costs: dict[str, float] = {}
         self._spent: dict[str, float] = {}
         self._asked_in: dict[str, int] = {}
@@ -113,10 +271,18 @@ class WorkerPool:
         self._is_closed = False
 
     def add(self, agents: Mapping[str, AgentSpec]) -> None:
-        """Take in agents: each beside its stream; those without one, which come all at once, packed."""
+        """Take in agents: each beside its stream; those without one, which come all at once, packed.
+
+        Raises OSError where processes are needed, and none can be forked.
+        """
         free = {agent: spec.cost_s for agent, spec in agents.items() if not spec.stream}
-        new = dict.fromkeys(spec.stream for spec in agents.values() if spec.stream)
-        self._hosts |= {stream: Slot() for stream in new if stream not in self._hosts}
+        streams = dict.fromkeys(spec.stream for spec in agents.values() if spec.stream)
+        self._hosts |= {
+            stream: Slot(stream.removeprefix(STREAM)) for stream in streams if stream not in self._hosts
+        }
+        if self._fork_server is None and (free or self._ray_hosts is None):
+            limits = self._limits
+            self._fork_server = ForkServer(self._frames_memory, limits.memory_mb, limits.answer_s)
         self._agents |= agents
         self._costs |= {agent: spec.cost_s for agent, spec in agents.items()}
         self._spent |= dict.fromkeys(agents, 0.0)
@@ -190,7 +356,7 @@ class WorkerPool:
 
             def start() -> None:
                 try:
-                    coming.set_result(Worker(self._fork_server, self._limits))
+                    coming.set_result(self._launch(slot.camera))
                 except OSError as error:
                     coming.set_exception(NoWorkerError(error.strerror or str(error)))
                 except BaseException as error:
@@ -223,11 +389,20 @@ class WorkerPool:
         for slot in self.slots:
             if slot.worker is not None:
                 slot.worker.let_go()
-        self._fork_server.close()
+        for launcher in (self._fork_server, self._ray_hosts):
+            if launcher is not None:
+                launcher.close()
         for slot in self.slots:
             coming = slot.coming
             if coming is not None and coming.done() and coming.exception() is None:
                 coming.result().let_go()
+
+    def _launch(self, camera: str) -> Worker:
+        """A new worker; raises OSError, NoHostError or AgentUnavailable."""
+        if camera and self._ray_hosts is not None:
+            return Worker(self._ray_hosts, self._ray_hosts.worker(camera), self._limits)
+        assert self._fork_server is not None
+        return Worker(self._fork_server, self._fork_server.worker(), self._limits)
 
     def _load(self, slot: Slot) -> float:
         return sum(self._costs[agent] for agent in slot.agents)

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from threading import Lock
 from types import MappingProxyType
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.observation.child import cut, python, tie
@@ -207,6 +207,10 @@ class WorkerLost(Exception):
     """A worker died, was killed because it did not answer, or needed too much memory; says which."""
 
 
+class PlacingError(ValueError):
+    """An agent cannot be where it was put; says why."""
+
+
 class NoWorkerError(BaseException):
     """No worker process can be started, for a reason of the system; says which.
 
@@ -220,6 +224,13 @@ class NoWorkerError(BaseException):
             f"no worker process can be started ({reason}); raise the limits (`ulimit -n`, `ulimit -u`), give "
             f"fewer workers ({fewer}), or use {serial}, which gives the same results"
         )
+
+
+class NoHostError(NoWorkerError):
+    """A camera has no host on any other machine; says why."""
+
+    def __init__(self, camera: str, reason: str) -> None:
+        BaseException.__init__(self, f"no host of camera {camera} can be started: {reason}")
 
 
 class WorkerGone(WorkerLost):
@@ -239,27 +250,37 @@ class Limits:
         first_s: seconds for the first answer of an agent to a kind of question, for which kernels may be
             compiled.
         memory_mb: above what it has when it is ready; 0 for no limit.
+        allow_other_machine: whether a host may have another type of processor, or other versions, than the
+            engine, which give other last digits.
     """
 
     answer_s: float = 10.0
     first_s: float = 30.0
     memory_mb: int = 0
+    allow_other_machine: bool = False
+
+
+class Launcher(Protocol):
+    """Starts workers, and sees them off."""
+
+    def ended(self, pid: int) -> int | None:
+        """The exit code of a worker that has ended, or is ended now; None when nobody knows."""
 
 
 class Worker:
     """One process with some agents, which is asked one question at a time. Not for several threads at a time.
 
     Attributes:
-        pid: its process id.
+        pid: its process id, or the number of its actor.
         agents: those whose cues it has.
         channel: readable when its answer is there, or its end.
         busy_with: the agent whose question it works on, or whose answer has not been received; else None.
         until: the moment by which it has to answer.
     """
 
-    def __init__(self, fork_server: ForkServer, limits: Limits) -> None:
-        self._fork_server = fork_server
-        self.channel, self._lifeline, self.pid = fork_server.worker()
+    def __init__(self, launcher: Launcher, started: tuple[socket.socket, int, int], limits: Limits) -> None:
+        self._launcher = launcher
+        self.channel, self._lifeline, self.pid = started
         # A worker that is stopped reads nothing, or has sent half an answer: neither is waited for for ever.
         patience = struct.pack("@ll", int(limits.answer_s), int(limits.answer_s % 1 * 1e6))
         for side in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):
@@ -335,7 +356,7 @@ class Worker:
     def close(self) -> int | None:
         """Let it go, and see it off: its exit code, None when nobody knows."""
         self.let_go()
-        return self._fork_server.ended(self.pid)
+        return self._launcher.ended(self.pid)
 
     def let_go(self) -> None:
         """Close what it is connected by, which ends it, whatever it does."""

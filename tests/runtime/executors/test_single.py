@@ -6,8 +6,7 @@ import sys
 import cv2
 import pytest
 
-from bayesnet_track.runtime.executors.placing import one_thread_inside
-from bayesnet_track.runtime.executors.worker import own_bytes
+from bayesnet_track.runtime.executors.worker import one_thread_inside, own_bytes
 
 
 @pytest.mark.parametrize("opencv", [True, False])
