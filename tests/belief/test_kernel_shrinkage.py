@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track import Start, Tracker, load_graph, track
+from bayesnet_track import Tracker, load_graph
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.particles.belief import ParticleFilter, shrink_constants
 from bayesnet_track.belief.particles.kernel_shrinkage import static_fields
@@ -71,37 +70,6 @@ def test_the_posterior_of_a_constant_is_the_exact_one_in_the_mean_of_the_seeds(s
     found = np.array([posterior(motion_of(static_discount=0.98), places, stream_of, s)[:2] for s in seeds])
     assert found[:, 0].mean() == pytest.approx(mean, abs=0.03 * np.sqrt(20 / len(seeds)))
     assert 0.7 * sd < found[:, 1].mean() < 1.4 * sd
-
-
-@pytest.fixture
-def program(tmp_path):
-    """A graph with readings of a walk, images in which nothing is seen, and the start."""
-    images = tmp_path / "images"
-    images.mkdir()
-    for frame in range(FRAMES + 1):
-        image = np.random.default_rng(frame).integers(0, 255, (400, 400, 3), dtype=np.uint8)
-        cv2.imwrite(str(images / f"{frame:03d}.png"), image)
-    rows = [f"{frame},{x + 100},{y + 100}" for frame, (x, y) in enumerate(measured().tolist(), start=1)]
-    (tmp_path / "walk.csv").write_text("\n".join(["frame,x,y", *rows]), encoding="utf-8")
-    readings = {"file": str(tmp_path / "walk.csv"), "sd": {"x": SD, "y": SD}, "floor": 1e-9}
-    root = {
-        "belief": {"particles": {"size": 2000}},
-        "motion": {"expressions": {**NOISE, "drift": {}, "static_discount": 0.98}},
-        "estimate": "mean",
-    }
-    nodes = {"ball": root, "s": {"parent": "ball", "agent": {"readings": readings}}}
-    graph = load_graph({"bayesnet": 1, "name": "m", "targets": {"ball": {"nodes": nodes}}})
-    return graph, str(images), Start((190.5, 180.5, 20.0, 20.0), "ball")
-
-
-@pytest.mark.slow
-def test_the_program_learns_an_unknown_noise(program):
-    """Twenty seeds; the floor of the readings is small, so that no move counts as an outlier."""
-    graph, images, start = program
-    mean, sd = exact(measured())
-    last = [[*track(graph, images, [start], seed=seed)][-1].targets[0].state for seed in range(20)]
-    assert np.mean([state["logq"] for state in last]) == pytest.approx(mean, abs=0.03)
-    assert 0.7 * sd < np.mean([state["logq_sd"] for state in last]) < 1.4 * sd
 
 
 def test_without_kernels_a_few_values_are_left(stream_of):
