@@ -129,19 +129,19 @@ class Ready:
     is_carried: bool
 
     @classmethod
-    def of(cls, work: FrameContext, target: str, before: TargetState, ride: Ride | None = None) -> Ready:
+    def of(cls, work: FrameContext, target: str, previous: TargetState, ride: Ride | None = None) -> Ready:
         """A target with its motion in the frame and its agents."""
         live, compiled, frame = work.net.targets[target], work.plate_of(target), work.frame
-        before = with_agents(compiled, before, live.looking(frame.ordinal))
-        ride_motion, prior = (None, before.belief) if ride is None else (ride.motion, ride.belief)
-        dt = frame.time - before.time
+        previous = with_agents(compiled, previous, live.looking(frame.ordinal))
+        ride_motion, prior = (None, previous.belief) if ride is None else (ride.motion, ride.belief)
+        dt = frame.time - previous.time
         moves = predict_motion(
-            compiled, ride_motion, before.motion_context, live.status == "lost", dt, work.cache
+            compiled, ride_motion, previous.motion_context, live.status == "lost", dt, work.cache
         )
         belief = within(compiled.belief, live.most_particles)
-        plan = plan_without_calls(work, target, before)
+        plan = plan_without_calls(work, target, previous)
         stream = work.stream(target, compiled.plate.root)
-        return cls(target, before, prior, belief, moves, plan, stream, ride is not None)
+        return cls(target, previous, prior, belief, moves, plan, stream, ride is not None)
 
 
 Stepped = tuple[Observer, Step[Posterior]]
@@ -164,9 +164,11 @@ def ready_each(work: FrameContext, before: Mapping[str, TargetState]) -> list[tu
     return [(target, steps.get(target.target)) for target in ready]
 
 
-def filter_target(work: FrameContext, target: str, before: TargetState, ride: Ride | None = None) -> Filtered:
+def filter_target(
+    work: FrameContext, target: str, previous: TargetState, ride: Ride | None = None
+) -> Filtered:
     """Predict the target's belief and weigh it by what its active agents see."""
-    return filter_ready(work, Ready.of(work, target, before, ride))
+    return filter_ready(work, Ready.of(work, target, previous, ride))
 
 
 def filter_ready(work: FrameContext, ready: Ready, stepped: Stepped | None = None) -> Filtered:
@@ -175,50 +177,52 @@ def filter_ready(work: FrameContext, ready: Ready, stepped: Stepped | None = Non
     It is weighed anew, without them, when agents fail that have answered before in the same frame. Those that
     failed when they were asked about a group are not asked again.
     """
-    target, before, prior, moves = ready.target, ready.before, ready.prior, ready.moves
+    target, previous, prior, moves = ready.target, ready.before, ready.prior, ready.moves
     compiled, belief, stream, frame = work.plate_of(target), ready.belief, ready.stream, work.frame
-    started, dt = work.engine.clock(), frame.time - before.time
+    start, dt = work.engine.clock(), frame.time - previous.time
     motion = confined(moves.motion, frame.width, frame.height, work.inputs)
     failed: MutableMapping[str, str] = dict(work.faults.get((target, "observing"), {}))
     while True:
         observer = _observer(work, ready, failed) if stepped is None else stepped[0]
         failed = observer.faults
         see = partial(_evaluation, work, compiled.modes, observer)
-        plan, call, moved = ready.plan, None, moves
+        plan, call, motion_of_step = ready.plan, None, moves
         step = belief.step(prior, motion, dt, see(plan), stream) if stepped is None else stepped[1]
-        if plan is not before.plan:
-            by = partial(_step_by, work, belief, (prior, dt, stream, moves.motion), see)
-            plan, step, call = call_agents(work, target, before, observer, (plan, step, by))
+        if plan is not previous.plan:
+            step_by = partial(_step_by, work, belief, (prior, dt, stream, moves.motion), see)
+            plan, step, call = call_agents(work, target, previous, observer, (plan, step, step_by))
         if not ready.is_carried:
-            again = partial(_step_again, work, belief, (prior, dt, see(plan), stream))
-            moved, step = search_around(work, target, before, moves, (plan, step, again))
+            step_again = partial(_step_again, work, belief, (prior, dt, see(plan), stream))
+            motion_of_step, step = search_around(work, target, previous, moves, (plan, step, step_again))
             restart = partial(_step_from, work, belief, plan, (motion, dt, stream, compiled.modes, prior))
-            moved, step = look_elsewhere(work, target, before, moved, (plan, step, observer, restart))
+            motion_of_step, step = look_elsewhere(
+                work, target, previous, motion_of_step, (plan, step, observer, restart)
+            )
         # With the answers of one that later gave none the belief would be neither with it nor without it.
         if not observer.broke_off:
             break
         stepped = None
-    work.charge("belief", started)
-    return _filtered(work, ready, (motion, moved, plan, step), observer, call)
+    work.charge("belief", start)
+    return _filtered(work, ready, (motion, motion_of_step, plan, step), observer, call)
 
 
 def _filtered(
     work: FrameContext,
     ready: Ready,
-    made: tuple[MotionModel, PredictedMotion, Plan, Step[Posterior]],
+    results: tuple[MotionModel, PredictedMotion, Plan, Step[Posterior]],
     observer: Observer,
     call: OnCallOutcome | None,
 ) -> Filtered:
-    """The first half of a frame, with what became of the agents; `made` by a motion, moves and a plan."""
-    motion, moved, plan, step = made
-    target, before, failed = ready.target, ready.before, observer.faults
-    live, compiled, dt = work.net.targets[target], work.plate_of(target), work.frame.time - before.time
+    """The first half of a frame, with what became of the agents, from the `results` of its step."""
+    motion, predicted, plan, step = results
+    target, previous, failed = ready.target, ready.before, observer.faults
+    live, compiled, dt = work.net.targets[target], work.plate_of(target), work.frame.time - previous.time
     faults = tuple(
         quarantine(live, work.frame.index, target, agent, reason) for agent, reason in failed.items()
     )
-    out = failed.keys() | observer.missed.keys()
-    if out:
-        plan = compile_plan(compiled.plate, plan.active - out, compiled.cues)
+    absent = failed.keys() | observer.missed.keys()
+    if absent:
+        plan = compile_plan(compiled.plate, plan.active - absent, compiled.cues)
     missed, flaws = dict(observer.missed), dict(observer.factors.flaws)
     undefined = {**undefined_in(motion), **observer.factors.undefined}
     modes = None
@@ -226,10 +230,10 @@ def _filtered(
         modes = ModeState.of(compiled.modes, ready.prior, step.posterior, dt)
     return Filtered(
         target,
-        before,
+        previous,
         step,
         faults,
-        moved,
+        predicted,
         plan,
         missed,
         flaws=flaws,
@@ -255,7 +259,7 @@ def _observer(work: FrameContext, ready: Ready, failed: MutableMapping[str, str]
 
 def _step_each(work: FrameContext, group: Sequence[Ready]) -> dict[str, Stepped]:
     """Target -> its step, of Gaussian beliefs that move alike and are asked about by the same agents."""
-    started, first, frame = work.engine.clock(), group[0], work.frame
+    start, first, frame = work.engine.clock(), group[0], work.frame
     belief, dt = first.belief, frame.time - first.before.time
     assert isinstance(belief, GaussianFilter)
     observers = [
@@ -265,7 +269,7 @@ def _step_each(work: FrameContext, group: Sequence[Ready]) -> dict[str, Stepped]
     see = partial(_evaluate_each, work, group, observers)
     priors = [cast(GaussianPosterior, ready.prior) for ready in group]
     steps = belief.step_each(priors, motion, dt, see, [ready.stream for ready in group])
-    work.charge("belief", started)
+    work.charge("belief", start)
     if undefined_in(motion):  # of which target is found out where each is stepped by itself
         return {}
     return dict(zip((ready.target for ready in group), zip(observers, steps, strict=True), strict=True))
@@ -286,7 +290,7 @@ def _evaluate_each(
         if observe.at == plan.root and not observe.measures and _scores_each(compiled.cues[observe.agent])
         if all(observe.agent in observer.references for observer in observers)
     }
-    ahead: list[dict[Observe, Answer]] = [{} for _ in group]
+    known_answers: list[dict[Observe, Answer]] = [{} for _ in group]
     views: list[dict[str, Hypotheses] | None] = [None for _ in group]
     if references or plan.views:
         boxes = np.concatenate([cloud.boxes for cloud in hypotheses])
@@ -305,13 +309,16 @@ def _evaluate_each(
             for observe in plan.observations
             if observe.agent in references
         }
-        asked = replace(plan, observations=tuple(scored.values()))
-        answers, failed = ask_together(work, (compiled, asked, references), together, starts)
+        scoring_plan = replace(plan, observations=tuple(scored.values()))
+        answers, failed = ask_together(work, (compiled, scoring_plan, references), together, starts)
         for t in range(len(group)):
             if t not in failed:
                 rows = slice(starts[t], starts[t + 1])
-                ahead[t] = {observe: answers[observe.agent][rows] for observe in scored}
-    return [evaluate(plan, *of) for of in zip(observers, hypotheses, log, ahead, views, strict=True)]
+                known_answers[t] = {observe: answers[observe.agent][rows] for observe in scored}
+    return [
+        evaluate(plan, *inputs)
+        for inputs in zip(observers, hypotheses, log, known_answers, views, strict=True)
+    ]
 
 
 def _scores_each(cue: object) -> bool:
@@ -322,30 +329,30 @@ def _scores_each(cue: object) -> bool:
 def _step_again(
     work: FrameContext,
     belief: Belief[Any],
-    given: tuple[Posterior, float, Evaluate, Stream],
+    inputs: tuple[Posterior, float, Evaluate, Stream],
     motion: MotionModel,
 ) -> Step[Posterior]:
     """The step of the frame by another motion, with random numbers of its own."""
-    prior, dt, see, stream = given
-    inside = confined(motion, work.frame.width, work.frame.height, work.inputs)
-    return belief.step(prior, inside, dt, see, lambda purpose: stream(f"{purpose} again"))
+    prior, dt, see, stream = inputs
+    confined_motion = confined(motion, work.frame.width, work.frame.height, work.inputs)
+    return belief.step(prior, confined_motion, dt, see, lambda purpose: stream(f"{purpose} again"))
 
 
-def evaluate_at(work: FrameContext, target: str, before: TargetState, boxes: Floats) -> Evidence:
+def evaluate_at(work: FrameContext, target: str, previous: TargetState, boxes: Floats) -> Evidence:
     """What the net of a target says of centre boxes (N, 4) that are as probable as each other.
 
     Every agent with a reference is asked, switched off or not. What a state holds beside the box is that of
     the belief's mean.
     """
     compiled = work.plate_of(target)
-    rest = np.broadcast_to(before.belief.mean[4:], (len(boxes), len(before.belief.fields) - 4))
-    hypotheses = hypotheses_of(np.hstack([boxes, rest]), before.belief.fields)
-    known = before.references.keys() & set(compiled.plate.agents)
-    plan = compile_plan(compiled.plate, known, compiled.cues).in_image()
+    more_fields = np.broadcast_to(previous.belief.mean[4:], (len(boxes), len(previous.belief.fields) - 4))
+    hypotheses = hypotheses_of(np.hstack([boxes, more_fields]), previous.belief.fields)
+    referenced = previous.references.keys() & set(compiled.plate.agents)
+    plan = compile_plan(compiled.plate, referenced, compiled.cues).in_image()
     observer = Observer(
         work.cache,
         compiled.cues,
-        before.references,
+        previous.references,
         work.stream(target, compiled.plate.root),
         availability=work.availability_of(target, "observing"),
     )
@@ -355,29 +362,29 @@ def evaluate_at(work: FrameContext, target: str, before: TargetState, boxes: Flo
 def _step_by(
     work: FrameContext,
     belief: Belief[Any],
-    given: tuple[Posterior, float, Stream, MotionModel],
+    inputs: tuple[Posterior, float, Stream, MotionModel],
     see: Callable[[Plan], Evaluate],
     plan: Plan,
 ) -> Step[Posterior]:
     """The step of the frame by more agents."""
-    prior, dt, stream, motion = given
-    own = partial(_renamed, stream, "by more")
-    return _step_again(work, belief, (prior, dt, see(plan), own), motion)
+    prior, dt, stream, motion = inputs
+    own_stream = partial(_renamed, stream, "by more")
+    return _step_again(work, belief, (prior, dt, see(plan), own_stream), motion)
 
 
 def _step_from(
     work: FrameContext,
     belief: Belief[Any],
     plan: Plan,
-    given: tuple[MotionModel, float, Stream, Modes | None, Posterior],
+    inputs: tuple[MotionModel, float, Stream, Modes | None, Posterior],
     box: Floats,
     observer: Observer,
 ) -> Step[Posterior]:
     """The step of the frame by a belief that starts in a centre box (4,)."""
-    motion, dt, stream, modes, prior = given
-    own = partial(_renamed, stream, "elsewhere")
-    start = with_kinds(belief.start(box, motion, own), modes, kinds_of(prior, modes))
-    step = belief.step(start, motion, dt, _evaluation(work, modes, observer, plan), own)
+    motion, dt, stream, modes, prior = inputs
+    own_stream = partial(_renamed, stream, "elsewhere")
+    start = with_kinds(belief.start(box, motion, own_stream), modes, kinds_of(prior, modes))
+    step = belief.step(start, motion, dt, _evaluation(work, modes, observer, plan), own_stream)
     return evolve(step, ancestors=None)  # they are of a belief that starts here
 
 

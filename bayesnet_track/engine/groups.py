@@ -50,11 +50,13 @@ class AgentMessages:
         """Answers of the active `agents` in a step, for the hypotheses that are still the belief's."""
         evidence = step.evidence
         is_aligned = isinstance(step.posterior, ParticleSet) and step.support is step.posterior
-        messages = {name: one for name, one in evidence.messages.items() if is_aligned and name in agents}
+        messages = {
+            name: message for name, message in evidence.messages.items() if is_aligned and name in agents
+        }
         measured = {
-            name: one
-            for name, one in evidence.gaussians.items()
-            if name in agents and one.seen is None and not one.choices
+            name: message
+            for name, message in evidence.gaussians.items()
+            if name in agents and message.seen is None and not message.choices
         }
         return cls(messages, measured)
 
@@ -198,7 +200,7 @@ class FilteredEach:
     @property
     def ids(self) -> Sequence[str]:
         """The targets."""
-        return [one.target for one in self.targets]
+        return [target.target for target in self.targets]
 
     @property
     def plan(self) -> Plan:
@@ -213,35 +215,37 @@ class FilteredEach:
     @cached_property
     def references(self) -> Mapping[str, Sequence[Reference]]:
         """Agent -> its reference of each target."""
-        known = [one.before.references for one in self.targets]
-        return {agent: [references[agent] for references in known] for agent in known[0]}
+        references_each = [target.before.references for target in self.targets]
+        return {agent: [references[agent] for references in references_each] for agent in references_each[0]}
 
     @property
     def memory(self) -> RuleMemory:
         """Rule memory of all targets."""
-        return RuleMemory.join([one.before.memory for one in self.targets])
+        return RuleMemory.join([target.before.memory for target in self.targets])
 
     @property
     def hidden(self) -> Sequence[float]:
         """Of each target the expected share that cannot be seen."""
-        return [one.hidden for one in self.targets]
+        return [target.hidden for target in self.targets]
 
     @property
     def existence(self) -> Floats | None:
         """(T,) probabilities that they exist; None where the plate has no `existence`."""
-        known = [one.before.existence for one in self.targets]
-        return None if known[0] is None else np.array(known)
+        probabilities = [target.before.existence for target in self.targets]
+        return None if probabilities[0] is None else np.array(probabilities)
 
     @property
     def moments(self) -> tuple[Floats, Floats]:
         """Means (T, D) and covariances (T, D, D) of the beliefs."""
-        beliefs = [one.step.posterior for one in self.targets]
-        return np.array([one.mean for one in beliefs]), np.array([one.covariance for one in beliefs])
+        beliefs = [target.step.posterior for target in self.targets]
+        return np.array([belief.mean for belief in beliefs]), np.array(
+            [belief.covariance for belief in beliefs]
+        )
 
     @property
     def is_hidden(self) -> Bools | None:
         """(T,) whether targets probably cannot be seen, by their modes; None where these do not say."""
-        causes = [None if one.modes is None else one.modes.hiding for one in self.targets]
+        causes = [None if target.modes is None else target.modes.hiding for target in self.targets]
         if causes[0] is None:
             return None
         return np.array([cause is not None and cause.hidden > cause.level for cause in causes])
@@ -263,18 +267,20 @@ class FilteredEach:
     def asks(self, nets: Sequence[TargetNet]) -> Bools | None:
         """(T,) whether something else than a streak asks for a decision; None where nothing does."""
         asks = [
-            bool(net.quarantined or one.missed or (one.call is not None and one.call.ran))
-            for net, one in zip(nets, self.targets, strict=True)
+            bool(net.quarantined or target.missed or (target.call is not None and target.call.ran))
+            for net, target in zip(nets, self.targets, strict=True)
         ]
         return np.array(asks) if any(asks) else None
 
     def measures(self, areas_px2: Floats) -> GroupMeasures:
         """UD, KL, ... of the beliefs, whose estimates have these areas (T,)."""
-        plate, steps = self.compiled.plate, [one.step for one in self.targets]
+        plate, steps = self.compiled.plate, [target.step for target in self.targets]
         if is_flat(plate) and not steps[0].evidence.latent:
             return measure_rows(plate, self.plan, StepArrays.of(plate, self.plan, steps), areas_px2)
         pairs = zip(self.targets, areas_px2.tolist(), strict=True)
-        return GroupMeasures.of_each([measure(plate, one.plan, one.step, area) for one, area in pairs])
+        return GroupMeasures.of_each(
+            [measure(plate, target.plan, target.step, area) for target, area in pairs]
+        )
 
     def of(self, row: int) -> Filtered:
         """The first half of the frame of one target."""

@@ -92,7 +92,7 @@ def learn_group(work: FrameContext, group: JudgedGroup) -> LearntGroup:
     """References move toward the estimates; agents that gave none at the start learn theirs."""
     filtered, compiled = group.filtered, group.filtered.compiled
     shares, rates = learning_rates(work, group)
-    is_learning = any(any(one) for one in rates.values())
+    is_learning = any(any(values_of_agent) for values_of_agent in rates.values())
     fields = filtered.fields
     angles = group.states[:, fields.index(ANGLE)] if ANGLE in fields else None
     news = () if filtered.keeps_status else _meeting(work, group)
@@ -100,21 +100,25 @@ def learn_group(work: FrameContext, group: JudgedGroup) -> LearntGroup:
         return LearntGroup(filtered.references, shares, angles=angles)
     lesson, checks, free = partial(_lesson, work, group), dict[int, DriftCheck](), rates
     if is_learning and compiled.guard is not None:
-        free = {agent: [*of] for agent, of in rates.items()}
+        free = {agent: [*values] for agent, values in rates.items()}
         for row in range(len(shares)):
-            own = {agent: of[row] for agent, of in rates.items()}
-            if any(own.values()):
-                known = {agent: of[row] for agent, of in filtered.references.items()}
-                checks[row] = judge(lesson(row), filtered.state(row).watched, known, own, compiled.guard)
+            own_rates = {agent: values[row] for agent, values in rates.items()}
+            if any(own_rates.values()):
+                own_references = {agent: values[row] for agent, values in filtered.references.items()}
+                checks[row] = judge(
+                    lesson(row), filtered.state(row).watched, own_references, own_rates, compiled.guard
+                )
             for agent in checks[row].held & free.keys() if row in checks else ():
                 free[agent][row] = 0.0
     references, faults = move_references(work, group, lesson, free, angles)
     beside = {}
     for row in sorted({*group.chosen, *faults, *checks, *news}):
         judged = checks.get(row) or judge_nothing(filtered.state(row).watched)
-        moved = {agent: of[row] for agent, of in references.items()}
-        own = {agent: of[row] for agent, of in rates.items()}
-        beside[row] = _learn_beside(group, row, lesson(row), judged, (moved, own, faults.get(row, {})))
+        own_learnt = {agent: values[row] for agent, values in references.items()}
+        own_rates = {agent: values[row] for agent, values in rates.items()}
+        beside[row] = _learn_beside(
+            group, row, lesson(row), judged, (own_learnt, own_rates, faults.get(row, {}))
+        )
     return LearntGroup(references, shares, beside, angles)
 
 
@@ -126,8 +130,10 @@ def _lesson(work: FrameContext, group: JudgedGroup, row: int) -> LearningInputs:
     boxes = {agent: inside_frame(parts[part].box, work.frame) for agent, part in compiled.part_of.items()}
     for agent in compiled.looking:
         boxes[agent] = compiled.boxes_of(agent, group.states[row : row + 1], work.frame)[0]
-    at, cameras = hypotheses_of(state, filtered.fields), compiled.looking
-    return LearningInputs(compiled.cues, work.cache, at, boxes, work.availability, filtered.ids[row], cameras)
+    hypotheses, cameras = hypotheses_of(state, filtered.fields), compiled.looking
+    return LearningInputs(
+        compiled.cues, work.cache, hypotheses, boxes, work.availability, filtered.ids[row], cameras
+    )
 
 
 def _meeting(work: FrameContext, group: JudgedGroup) -> list[int]:
@@ -162,11 +168,11 @@ def learning_rates(work: FrameContext, group: JudgedGroup) -> tuple[list[float],
         strict=True,
     )
     for row, (ud_px2, area_px2, baseline_px2, hidden) in enumerate(columns):
-        beside, seen = filtered.beside(row), max(1.0 - 2.0 * hidden, 0.0)
-        share, of_parts = learning_rate(rule, ud_px2, area_px2, baseline_px2) * seen, dict[str, float]()
+        beside, visible = filtered.beside(row), max(1.0 - 2.0 * hidden, 0.0)
+        share, of_parts = learning_rate(rule, ud_px2, area_px2, baseline_px2) * visible, dict[str, float]()
         if measures.part_areas:
-            of_parts = _part_rates(group, row, rule, seen)
-        every, rests = _rhythm(work, group, row, rule, beside)
+            of_parts = _part_rates(group, row, rule, visible)
+        interval, rests = _rhythm(work, group, row, rule, beside)
         if rests or not _is_held(group, row, rule) or (beside is not None and beside.step.degenerate):
             share, of_parts = 0.0, {}
         shares.append(share)
@@ -175,25 +181,25 @@ def learning_rates(work: FrameContext, group: JudgedGroup) -> tuple[list[float],
         age, net = work.frame.since(filtered.state(row).started), group.nets[row]
         for agent, largest in compiled.rate_max.items():
             if agent not in net.quarantined and (beside is None or agent not in beside.missed):
-                own = of_parts.get(compiled.part_of.get(agent, ""), share) * largest_rate(rule, largest, age)
-                rates[agent][row] = over_frames(own, every)
+                rate = of_parts.get(compiled.part_of.get(agent, ""), share) * largest_rate(rule, largest, age)
+                rates[agent][row] = over_frames(rate, interval)
     return shares, rates
 
 
-def _part_rates(group: JudgedGroup, row: int, rule: Learn, seen: float) -> dict[str, float]:
+def _part_rates(group: JudgedGroup, row: int, rule: Learn, visible: float) -> dict[str, float]:
     """Part -> share of the largest rate."""
     plate, net = group.filtered.compiled.plate, group.nets[row]
     baseline_of = partial(baseline_level, plate, net.active, group.memory.take([row]))
-    found = part_rates(rule, group.measures.of(row).parts, baseline_of)
-    return {part: share * seen for part, share in found.items()}
+    shares = part_rates(rule, group.measures.of(row).parts, baseline_of)
+    return {part: share * visible for part, share in shares.items()}
 
 
 def _is_held(group: JudgedGroup, row: int, rule: Learn) -> bool:
     """True where the box shows the target, as far as status and score say."""
     net, outcome = group.nets[row], group.score(row)
     likely = outcome.score is not None and rule.score_above is not None and outcome.score > rule.score_above
-    held = net.status == "tracking" or (net.status == "uncertain" and (likely or outcome.scored.doubt > 0))
-    return held and outcome.scored.missing is None and len(net.active) > 0
+    is_held = net.status == "tracking" or (net.status == "uncertain" and (likely or outcome.scored.doubt > 0))
+    return is_held and outcome.scored.missing is None and len(net.active) > 0
 
 
 def _rhythm(
@@ -201,9 +207,9 @@ def _rhythm(
 ) -> tuple[int, bool]:
     """In one of how many frames a target's agents learn, and whether they rest in this one."""
     live = work.net.targets[group.filtered.ids[row]]
-    every = frames_between(rule, live.sampled)
+    interval = frames_between(rule, live.sampled)
     if beside is None or beside.call is None or live.turn is None:
-        return every, work.frame.ordinal % every > 0
+        return interval, work.frame.ordinal % interval > 0
     return live.turn.since(work.frame.index, work.frame.stride), not beside.call.ran
 
 
@@ -226,7 +232,11 @@ def move_references(
     """
     filtered, cues = group.filtered, group.filtered.compiled.cues
     references, outcomes = dict(filtered.references), dict[str, dict[int, Fault]]()
-    learning = {agent: _rows(work, group, agent, of) for agent, of in rates.items() if agent in references}
+    learning = {
+        agent: _rows(work, group, agent, agent_rates)
+        for agent, agent_rates in rates.items()
+        if agent in references
+    }
     waits = {
         (agent, row): blend_ahead(lesson(row), agent, references[agent][row], rates[agent][row])
         for agent, rows in learning.items()
@@ -234,11 +244,11 @@ def move_references(
     }
     for agent, rows in learning.items():
         if len(rows) and not is_elsewhere(cues[agent]):
-            own, known = np.array(rates[agent])[rows], references[agent]
-            if len(rows) < len(known):
-                known = ReferenceRows.some(known, rows)
-            found, outcomes[agent] = _follow(work, group, agent, rows, (known, own, angles))
-            references[agent] = _replaced(references[agent], rows, found)
+            row_rates, previous = np.array(rates[agent])[rows], references[agent]
+            if len(rows) < len(previous):
+                previous = ReferenceRows.some(previous, rows)
+            learnt, outcomes[agent] = _follow(work, group, agent, rows, (previous, row_rates, angles))
+            references[agent] = _replaced(references[agent], rows, learnt)
     for (agent, row), wait in waits.items():
         answer = wait()
         if isinstance(answer, str | Missing):
@@ -271,14 +281,14 @@ def _follow(
     group: JudgedGroup,
     agent: str,
     rows: Ints,
-    given: tuple[Sequence[Reference], Floats, Floats | None],
+    inputs: tuple[Sequence[Reference], Floats, Floats | None],
 ) -> tuple[Sequence[Reference], dict[int, Fault]]:
     """References of some rows after learning, and row -> what was wrong.
 
-    `given` are the references and rates of these rows, and the rotations of all targets.
+    `inputs` are the references and rates of these rows, and the rotations of all targets.
     """
     compiled = group.filtered.compiled
-    cue, part, (known, rates, angles) = compiled.cues[agent], compiled.part_of.get(agent), given
+    cue, part, (references, rates, angles) = compiled.cues[agent], compiled.part_of.get(agent), inputs
     boxes = group.boxes[rows]
     if part is not None:
         places = [group.measures.of(row).parts[part].box for row in rows.tolist()]
@@ -292,16 +302,18 @@ def _follow(
         planes = _planes(work, cue, boxes)
     except FAULTS as error:
         if len(rows) == 1:
-            return known, {int(rows[0]): fault_of(error, " while learning")}
-        found: list[Reference] = []
+            return references, {int(rows[0]): fault_of(error, " while learning")}
+        learnt_each: list[Reference] = []
         faults: dict[int, Fault] = {}
         for t in range(len(rows)):  # of which target it is shows where each learns by itself
-            one, fault = _follow(work, group, agent, rows[t : t + 1], ([known[t]], rates[t : t + 1], angles))
-            found, faults = [*found, *one], faults | fault
-        return found, faults
+            learnt_one, fault = _follow(
+                work, group, agent, rows[t : t + 1], ([references[t]], rates[t : t + 1], angles)
+            )
+            learnt_each, faults = [*learnt_each, *learnt_one], faults | fault
+        return learnt_each, faults
     turned = None if angles is None else angles[rows]
-    moved, failed = follow(cue, planes, boxes, known, rates, turned)
-    return moved, {int(rows[t]): fault for t, fault in failed.items()}
+    learnt, failed = follow(cue, planes, boxes, references, rates, turned)
+    return learnt, {int(rows[t]): fault for t, fault in failed.items()}
 
 
 def _planes(work: FrameContext, cue: AnyCue, boxes: Floats) -> list[Planes]:
@@ -309,18 +321,20 @@ def _planes(work: FrameContext, cue: AnyCue, boxes: Floats) -> list[Planes]:
     return planes_of_each(work, cue.needs, boxes, starts, context_of(cue), share)
 
 
-def _replaced(known: Sequence[Reference], rows: Ints, found: Sequence[Reference]) -> Sequence[Reference]:
+def _replaced(
+    references: Sequence[Reference], rows: Ints, replacements: Sequence[Reference]
+) -> Sequence[Reference]:
     """References with those of some rows replaced."""
-    if len(rows) == len(known):
-        return found
-    if isinstance(known, ReferenceRows) and isinstance(found, ReferenceRows):
-        together = known.replaced(rows, found)
+    if len(rows) == len(references):
+        return replacements
+    if isinstance(references, ReferenceRows) and isinstance(replacements, ReferenceRows):
+        together = references.replaced(rows, replacements)
         if together is not None:
             return together
-    after = list(known)
-    for row, reference in zip(rows.tolist(), found, strict=True):
-        after[row] = reference
-    return after
+    replaced = list(references)
+    for row, reference in zip(rows.tolist(), replacements, strict=True):
+        replaced[row] = reference
+    return replaced
 
 
 # ------------------------------------------------------------------------------------ one target
@@ -338,13 +352,15 @@ def _learn_beside(
     `learnt` are its references, the rates, and agent -> what was wrong. The decisions that stand are those
     chosen, without actions that found nothing left to try, and the quarantine of agents that failed here.
     """
-    moved, rates, faults = learnt
-    compiled, before = group.filtered.compiled, group.filtered.state(row)
-    now, chosen = group.see(row), group.chosen.get(row, ())
-    references, watched, failed = guard(lesson, before.watched, judged, moved, rates, compiled.guard)
+    references_learnt, rates, faults = learnt
+    compiled, previous = group.filtered.compiled, group.filtered.state(row)
+    view, decisions = group.see(row), group.chosen.get(row, ())
+    references, watched, failed = guard(
+        lesson, previous.watched, judged, references_learnt, rates, compiled.guard
+    )
     faults = {**faults, **failed}
-    kept: list[Decision] = []
-    for decision in chosen:
+    standing: list[Decision] = []
+    for decision in decisions:
         if isinstance(decision, LocallyAdapted):
             if decision.node in faults:
                 continue
@@ -354,8 +370,12 @@ def _learn_beside(
             if tuned is None or isinstance(tuned, str):
                 continue
             references[decision.node] = tuned
-        kept.append(decision)
-    first, still_out = start_late(lesson, now, references, chosen)
+        standing.append(decision)
+    first, still_out = start_late(lesson, view, references, decisions)
     slow = {**watched.slow, **watch(first, compiled.looks, compiled.guard).slow}
-    out = (quarantine(now.net, now.frame, now.target, agent, reason) for agent, reason in faults.items())
-    return Beside({**references, **first}, evolve(watched, slow=slow), judged, (*kept, *out, *still_out))
+    quarantined = (
+        quarantine(view.net, view.frame, view.target, agent, reason) for agent, reason in faults.items()
+    )
+    return Beside(
+        {**references, **first}, evolve(watched, slow=slow), judged, (*standing, *quarantined, *still_out)
+    )
