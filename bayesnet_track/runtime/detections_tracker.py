@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import overlapping_pairs
+from bayesnet_track.engine.lifecycle.detecting import frames_between_looks
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.starts import check_starts, start_targets
 from bayesnet_track.engine.step import State, make_engine, step
@@ -135,10 +136,19 @@ class DetectionsTracker(Storable):
 
     @property
     def looks_next(self) -> bool:
-        """Whether detections of the next frame are used; a detector need not run where `every` skips it."""
-        ordinal = 0 if self._now is None else self._now.clock.index + 1
+        """Whether detections of the next frame are used; a detector need not run where they are not.
+
+        The keys `every` and `pace` of `birth` say in which frames they are.
+        """
+        if self._now is None:
+            return True
+        ordinal, state = self._now.clock.index + 1, self._now.state
         return any(
-            compiled.plate.inverses or ((birth := compiled.plate.spec.birth) and ordinal % birth.every == 0)
+            compiled.plate.inverses
+            or (
+                compiled.plate.spec.birth
+                and ordinal % frames_between_looks(compiled, state.net, state.history) == 0
+            )
             for compiled in self._engine.plates.values()
         )
 

@@ -321,7 +321,11 @@ def _life(positive: Any, share: Any, frames: Any) -> dict[str, st.SearchStrategy
     detector = _choice(["background", "detections"], gray_level=settings, detections=settings)
     confirm = _mapping({}, {"hits": st.integers(1, 3), "of": st.integers(4, 1000)})
     birth = {"labels": st.lists(st.text("abc", min_size=1), max_size=2), "every": frames, "confirm": confirm}
-    birth |= {"max_targets": st.integers(1, 1000), "min_distance_box": positive}
+    birth |= {
+        "pace": _mapping({"empty": frames}, {"waiting": frames}),
+        "max_targets": st.integers(1, 1000),
+        "min_distance_box": positive,
+    }
     return {
         "birth": _mapping({"detector": detector}, birth),
         "merge_duplicates": _mapping({}, {"overlap": share, "frames": frames}),
@@ -466,7 +470,12 @@ def everything() -> dict[str, Any]:
         "e": {"parent": "c", "agent": "motion", "active": False, "self_check": {"above": level, "rest": 7}},
     }
     life = {
-        "birth": {"detector": {"background": {"min_area_px": 200}}, "labels": ["car"], "confirm": {"of": 5}},
+        "birth": {
+            "detector": {"background": {"min_area_px": 200}},
+            "labels": ["car"],
+            "pace": {"empty": 5},
+            "confirm": {"of": 5},
+        },
         "merge_duplicates": {"overlap": 0.8},
         "death": {"unseen_frames": 9},
         "reidentify": {"lost": False},

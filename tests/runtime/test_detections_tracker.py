@@ -154,6 +154,31 @@ def test_it_says_whether_detections_of_the_next_frame_are_used():
     assert seldom.targets[0].centre_box[0] == pytest.approx(usual.targets[0].centre_box[0], abs=1.0)
 
 
+@pytest.mark.parametrize("graph", ["kalman_detections", "jpda"])
+def test_the_pace_of_the_detector_follows_what_there_is_to_see(graph):
+    """Seldom while it is empty, in every frame until a target is confirmed, in every second one then."""
+    written = load_graph(graph).spec.model_dump(exclude_unset=True, exclude_none=True)
+    plate = written["targets"]["target"]
+    plate["birth"] |= {"every": 2, "pace": {"empty": 5}}
+    if "death" in plate:
+        plate["death"] = {"unseen_frames": 3}
+    given, spared = (DetectionsTracker(load_graph(written), size=(320, 240)) for _ in range(2))
+    nothing = SimpleNamespace(xyxy=np.empty((0, 4)), confidence=[])
+    asked, live = [], []
+    for n in range(100):
+        seen = walker(n) if 18 <= n < 60 else nothing
+        asked.append(spared.looks_next)
+        spared.update(seen if spared.looks_next else None)
+        given.update(seen)  # detections of other frames are not used
+        live.append(bool(spared.targets))
+        assert [one.centre_box for one in given.targets] == [one.centre_box for one in spared.targets]
+    first, last = live.index(True), max(np.flatnonzero(live))
+    assert [n for n in range(21) if asked[n]] == [0, 5, 10, 15, 20]
+    assert all(asked[20 : first + 1]) and first < 25
+    assert asked[30:60] == [n % 2 == 0 for n in range(30, 60)]
+    assert 60 < last < 90 and asked[last + 1 :] == [n % 5 == 0 for n in range(last + 1, 100)]
+
+
 def standing(count):
     """People who stand apart from each other in rows of ten."""
     left, top = 60.0 * (np.arange(count) % 10), 120.0 * (np.arange(count) // 10)

@@ -8,10 +8,11 @@ import numpy as np
 
 from bayesnet_track.adapt.lifecycle import TrackHistory, is_refusal_notable
 from bayesnet_track.adapt.status import next_try
-from bayesnet_track.engine.compiled import Engine
+from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.journal.events.lives import MOST_DETECTIONS, DetectionsCut, DetectorFailed
+from bayesnet_track.journal.net import Net
 from bayesnet_track.journal.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
@@ -89,12 +90,27 @@ def _due(work: FrameContext, history: TrackHistory) -> dict[tuple[str, str], str
         birth = None if compiled.lifecycle is None else compiled.lifecycle.birth
         if birth is None or compiled.plate.inverses:
             continue  # sensors are no detectors of boxes: `scan`
+        every = frames_between_looks(compiled, work.net, history)
         for camera, name in compiled.detectors.items():
             own = work.frame.of(camera)
-            is_due = own is not None and own.ordinal % birth.every == 0
+            is_due = own is not None and own.ordinal % every == 0
             if is_due and _is_in(history, name, work.frame.index):
                 due[plate, camera] = name
     return due
+
+
+def frames_between_looks(compiled: CompiledPlate, net: Net, history: TrackHistory) -> int:
+    """Frames between runs of the detector of a plate's births, by what there is after the last frame."""
+    birth, plate = compiled.plate.spec.birth, compiled.plate.name
+    assert birth is not None
+    if birth.pace is None:
+        return birth.every
+    has_candidates = bool(history.candidates.get(plate))
+    if (existence := compiled.plate.spec.existence) is not None and plate in history.detection_models:
+        waiting = history.detection_models[plate].unconfirmed.existence
+        has_candidates = bool((waiting >= existence.end).any())
+    has_targets = any(target.template == plate for target in net.targets.values())
+    return birth.frames_between(has_targets, has_candidates)
 
 
 def scan(work: FrameContext, plate: str) -> dict[str, Found]:

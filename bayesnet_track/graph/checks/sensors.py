@@ -84,6 +84,7 @@ def sensors_share_detections(plate: Plate) -> Iterator[GraphMessage]:
     for key, is_usual in {
         "labels": not birth.labels,
         "every": birth.every == 1,
+        "pace": birth.pace is None,
         "tentative": not birth.tentative,
         "min_score": birth.min_score == 0.0,
     }.items():

@@ -98,6 +98,21 @@ class Confirm(Model):
         return self
 
 
+class Pace(Model):
+    """How often the detector runs by what there is to see; while there are targets, `every` says it.
+
+    Targets are carried by their motion between runs, and nobody is missed. What is new is confirmed at once
+    where `waiting` is 1, and an empty image takes little time.
+    """
+
+    waiting: FrameCount = Field(
+        default=1, description="frames between runs while something was detected that may become a target"
+    )
+    empty: FrameCount = Field(
+        description="frames between runs while there is neither a target nor what may become one"
+    )
+
+
 def _word_or_number(value: object) -> str:
     return "word" if isinstance(value, str) else "number"
 
@@ -116,6 +131,9 @@ class Birth(Model):
         default=(), max_length=64, description="only detections with one of these labels; default all"
     )
     every: FrameCount = Field(default=1, description="frames between runs of the detector")
+    pace: Pace | None = Field(
+        default=None, description="other frames between runs while it is empty, or something waits"
+    )
     confirm: Confirm = Field(default=Confirm(), description="how often it is detected before it gets a net")
     max_targets: Annotated[Whole, Field(ge=1, le=10_000)] = Field(
         default=20, description="live targets of this plate at most"
@@ -146,6 +164,21 @@ class Birth(Model):
     def covered(self) -> float | None:
         """`max_overlap`; None: never."""
         return None if self.max_overlap == "never" else self.max_overlap
+
+    def frames_between(self, has_targets: bool, has_candidates: bool) -> int:
+        """Frames between runs of the detector, by what was there in the last frame.
+
+        >>> birth = Birth(detector=DetectorChoice(detector="motion"), every=2, pace=Pace(empty=5))
+        >>> birth.frames_between(True, False), birth.frames_between(False, False)
+        (2, 5)
+        >>> birth.frames_between(False, True)
+        1
+        """
+        if self.pace is None:
+            return self.every
+        if has_candidates:
+            return self.pace.waiting
+        return self.every if has_targets else self.pace.empty
 
 
 class MergeDuplicates(Model):
