@@ -99,7 +99,7 @@ class Confirm(Model):
 
 
 class Pace(Model):
-    """How often the detector runs by what there is to see; while there are targets, `every` says it.
+    """Runs of the detector by what there is to see; while there are targets, `every` says it.
 
     Targets are carried by their motion between runs, and nobody is missed. What is new is confirmed at once
     where `waiting` is 1, and an empty image takes little time.
