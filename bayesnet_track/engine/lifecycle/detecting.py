@@ -90,10 +90,10 @@ def _due(work: FrameContext, history: TrackHistory) -> dict[tuple[str, str], str
         birth = None if compiled.lifecycle is None else compiled.lifecycle.birth
         if birth is None or compiled.plate.inverses:
             continue  # sensors are no detectors of boxes: `scan`
-        every = frames_between_looks(compiled, work.net, history)
+        interval = frames_between_looks(compiled, work.net, history)
         for camera, name in compiled.detectors.items():
             own = work.frame.of(camera)
-            is_due = own is not None and own.ordinal % every == 0
+            is_due = own is not None and own.ordinal % interval == 0
             if is_due and _is_in(history, name, work.frame.index):
                 due[plate, camera] = name
     return due
