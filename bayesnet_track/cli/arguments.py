@@ -31,7 +31,7 @@ class UsageError(ValueError):
 
 @contextmanager
 def users_mistake() -> Iterator[None]:
-    """What fails inside does so because of an argument, or of a file that one names: `UsageError`."""
+    """Raise `UsageError` for what fails inside because of an argument, or of a file that one names."""
     from bayesnet_track.journal.codec import JournalError
 
     try:
@@ -55,7 +55,7 @@ def users_file(option: str, expected: str) -> Iterator[None]:
 
 
 def writing(path: Path) -> AbstractContextManager[None]:
-    """What the system refuses inside it is about an output: `OutputError`, which names it."""
+    """Raise `OutputError`, which names the output, for what the system refuses inside it."""
     from bayesnet_track.journal import writer
 
     return writer.writing(path)
@@ -120,38 +120,38 @@ def mute(stream: TextIO) -> None:
     os.close(nowhere)
 
 
-def whole_number(least: int) -> Callable[[str], int]:
-    """Parser of whole numbers from `least` on."""
+def whole_number(minimum: int) -> Callable[[str], int]:
+    """Parser of whole numbers from `minimum` on."""
 
     def parse(text: str) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) < 19 and int(text) >= least):
-            raise argparse.ArgumentTypeError(f"{text!r}: a whole number from {least} on is needed")
+        if not (text.isascii() and text.isdigit() and len(text) < 19 and int(text) >= minimum):
+            raise argparse.ArgumentTypeError(f"{text!r}: a whole number from {minimum} on is needed")
         return int(text)
 
     return parse
 
 
-def number(needed: str, below: float = math.inf, most: float = math.inf) -> Callable[[str], float]:
-    """Parser of finite numbers above 0, less than `below` and at most `most`; `needed` says so."""
+def number(needed: str, bound: float = math.inf, maximum: float = math.inf) -> Callable[[str], float]:
+    """Parser of finite numbers above 0, less than `bound` and at most `maximum`; `needed` says so."""
 
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = 0.0
-        if not (0.0 < value < below and value <= most):
+        if not (0.0 < value < bound and value <= maximum):
             raise argparse.ArgumentTypeError(f"{text!r}: {needed}")
         return value
 
     return parse
 
 
-metres = number("a length above 0 in metres is needed", below=1e6)
-pixels = number("a distance above 0 in px is needed", below=1e9)
-milliseconds = number("milliseconds above 0 are needed", below=1e7)
-seconds = number("a number of seconds above 0 is needed", below=1e6)
-gradient = number("a number above 0, at most 100 is needed", most=100.0)
-share = number("a number above 0, at most 1 is needed", most=1.0)
+metres = number("a length above 0 in metres is needed", bound=1e6)
+pixels = number("a distance above 0 in px is needed", bound=1e9)
+milliseconds = number("milliseconds above 0 are needed", bound=1e7)
+seconds = number("a number of seconds above 0 is needed", bound=1e6)
+gradient = number("a number above 0, at most 100 is needed", maximum=100.0)
+share = number("a number above 0, at most 1 is needed", maximum=1.0)
 
 
 FORMS = ("mot", "boxes", "corners", "polygons")
@@ -278,14 +278,14 @@ def run_folder(text: str) -> Path:
     Raises:
         UsageError: it looks like the name of a video.
     """
-    out = Path(text)
-    if out.suffix.lower() in VIDEOS:
-        folder, kind = out.with_suffix(""), "mp4" if out.suffix.lower() == ".mp4" else "mkv"
+    folder_path = Path(text)
+    if folder_path.suffix.lower() in VIDEOS:
+        folder, kind = folder_path.with_suffix(""), "mp4" if folder_path.suffix.lower() == ".mp4" else "mkv"
         raise UsageError(
             f"--out {text}: this is the folder of the run; --out {folder} --video {kind} writes "
             f"{folder}/video.{kind}"
         )
-    return out
+    return folder_path
 
 
 def free_folder(first: str, overwrite: bool = False) -> Path:

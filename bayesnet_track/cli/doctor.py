@@ -115,7 +115,7 @@ def try_code(code: str, *arguments: str, timeout_s: float = 300.0) -> tuple[str,
         script = Path(folder) / "trial.py"  # a file: worker processes may import it again
         script.write_text(code, encoding="utf-8")
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 [sys.executable, str(script), *arguments],
                 capture_output=True,
                 timeout=timeout_s,
@@ -126,19 +126,23 @@ def try_code(code: str, *arguments: str, timeout_s: float = 300.0) -> tuple[str,
             return "", f"no answer within {timeout_s:.0f} s"
         except OSError as error:
             return "", str(error)
-    complaint = (done.stderr.decode("utf-8", "replace").strip().splitlines() or [""])[-1]
-    if done.returncode < 0:
-        complaint = f"the process died of signal {-done.returncode} {complaint}".strip()
-    output = done.stdout.decode("utf-8", "replace").strip()
-    return output, "" if done.returncode == 0 else complaint or f"exit code {done.returncode}"
+    complaint = (process.stderr.decode("utf-8", "replace").strip().splitlines() or [""])[-1]
+    if process.returncode < 0:
+        complaint = f"the process died of signal {-process.returncode} {complaint}".strip()
+    output = process.stdout.decode("utf-8", "replace").strip()
+    return output, "" if process.returncode == 0 else complaint or f"exit code {process.returncode}"
 
 
 def installed(name: str) -> Distribution | None:
     """The installed distribution of that name; a build in a checkout is none."""
     from importlib.metadata import distributions
 
-    found = (one for one in distributions(name=name) if one.read_text("SOURCES.txt") is None)
-    return next((one for one in found if "Version" in one.metadata), None)
+    candidates = (
+        distribution
+        for distribution in distributions(name=name)
+        if distribution.read_text("SOURCES.txt") is None
+    )
+    return next((distribution for distribution in candidates if "Version" in distribution.metadata), None)
 
 
 def check_system() -> Iterator[Finding]:
@@ -162,23 +166,23 @@ def check_package() -> Iterator[Finding]:
     from urllib.parse import urlparse
     from urllib.request import url2pathname
 
-    here = Path(__file__).resolve().parents[1]
+    package = Path(__file__).resolve().parents[1]
     metadata = installed(OURS)
-    install = f"python -m pip install -e {here.parent}"
+    install = f"python -m pip install -e {package.parent}"
     if metadata is None:
-        text = f"runs from {here}, and is not installed: cues, detectors and graphs are not found"
+        text = f"runs from {package}, and is not installed: cues, detectors and graphs are not found"
         yield Finding("package", "broken", text, f"{install}   (or run an installed one elsewhere)")
         return
     origin: dict[str, Any] = json.loads(metadata.read_text("direct_url.json") or "{}")
     home = Path(str(metadata.locate_file("bayesnet_track"))).resolve()
     if origin.get("dir_info", {}).get("editable"):
         home = (Path(url2pathname(urlparse(origin["url"]).path)) / "bayesnet_track").resolve()
-    if home != here and (home / "__init__.py").exists():
-        text = f"runs from {here}, which shadows the installed {metadata.version} in {home}"
+    if home != package and (home / "__init__.py").exists():
+        text = f"runs from {package}, which shadows the installed {metadata.version} in {home}"
         cure = f"start it in another folder, or install this one: {install}"
         yield Finding("package", "broken", text, cure)
     else:
-        yield Finding("package", "ok", f"{OURS} {metadata.version} in {here}")
+        yield Finding("package", "ok", f"{OURS} {metadata.version} in {package}")
 
 
 def check_versions() -> Iterator[Finding]:
@@ -191,37 +195,39 @@ def check_versions() -> Iterator[Finding]:
     wrong: dict[str, str] = {}
     fine = []
     for needed in map(Requirement, _requires(installed(OURS))):
-        found = _of(needed.name)
-        if found is None:
+        distribution = _of(needed.name)
+        if distribution is None:
             wrong[f"{needed.name} is missing"] = str(needed)
             continue
-        fine.append(f"{found.name} {found.version}")
-        if not needed.specifier.contains(found.version, prereleases=True):
-            wrong[f"{found.name} {found.version} is not {needed.specifier}"] = str(needed)
-        for inner in map(Requirement, _requires(found)):
-            other = _of(inner.name)
-            if other is not None and not inner.specifier.contains(other.version, prereleases=True):
+        fine.append(f"{distribution.name} {distribution.version}")
+        if not needed.specifier.contains(distribution.version, prereleases=True):
+            wrong[f"{distribution.name} {distribution.version} is not {needed.specifier}"] = str(needed)
+        for inner in map(Requirement, _requires(distribution)):
+            dependency = _of(inner.name)
+            if dependency is not None and not inner.specifier.contains(dependency.version, prereleases=True):
                 need = f"{inner.name}{inner.specifier}"
-                wrong[f"{found.name} {found.version} needs {need}, not {other.version}"] = need
+                wrong[
+                    f"{distribution.name} {distribution.version} needs {need}, not {dependency.version}"
+                ] = need
     for text, requirement in wrong.items():
         yield Finding("versions", "broken", text, f'python -m pip install "{requirement}"')
     if not wrong:
         yield Finding("versions", "ok" if fine else "note", ", ".join(fine) or "unknown: no metadata")
-    wheels = [found for found in map(installed, OPENCV_WHEELS) if found is not None]
+    wheels = [distribution for distribution in map(installed, OPENCV_WHEELS) if distribution is not None]
     if len(wheels) > 1:
-        names = " ".join(found.name for found in wheels)
-        kept = "opencv-contrib-python-headless" if "contrib" in names else WHEEL
-        text = " and ".join(f"{found.name} {found.version}" for found in wheels)
+        names = " ".join(distribution.name for distribution in wheels)
+        wheel = "opencv-contrib-python-headless" if "contrib" in names else WHEEL
+        text = " and ".join(f"{distribution.name} {distribution.version}" for distribution in wheels)
         text += ": each overwrites files of the other"
-        cure = f'python -m pip uninstall -y {names} && python -m pip install "{kept}>=4.9,<6"'
+        cure = f'python -m pip uninstall -y {names} && python -m pip install "{wheel}>=4.9,<6"'
         yield Finding("opencv wheels", "broken", text, cure)
 
 
-def _requires(found: Distribution | None) -> Iterator[str]:
+def _requires(distribution: Distribution | None) -> Iterator[str]:
     """The requirements of a distribution that hold here, without extras."""
     from packaging.requirements import InvalidRequirement, Requirement
 
-    for text in (None if found is None else found.requires) or ():
+    for text in (None if distribution is None else distribution.requires) or ():
         try:
             marker = Requirement(text).marker
         except InvalidRequirement:
@@ -233,17 +239,17 @@ def _requires(found: Distribution | None) -> Iterator[str]:
 def _of(name: str) -> Distribution | None:
     """The distribution under the name; any wheel of OpenCV stands for the one that is required."""
     names = OPENCV_WHEELS if name == WHEEL else (name,)
-    return next((found for found in map(installed, names) if found is not None), None)
+    return next((distribution for distribution in map(installed, names) if distribution is not None), None)
 
 
 def check_libraries() -> Iterator[Finding]:
     """Each library can be imported."""
     for module, packages in LIBRARIES.items():
-        out, error = try_code(f"import {module}; print({module}.__version__)")
+        version, error = try_code(f"import {module}; print({module}.__version__)")
         cure = f"python -m pip install --force-reinstall {packages}"
         if "cannot open shared object" in error and module == "cv2":
             cure = "python -m pip uninstall -y opencv-python opencv-contrib-python && " + cure
-        yield Finding(module, "broken", error, cure) if error else Finding(module, "ok", out)
+        yield Finding(module, "broken", error, cure) if error else Finding(module, "ok", version)
 
 
 def check_plugins() -> Iterator[Finding]:
@@ -267,35 +273,35 @@ def check_plugins() -> Iterator[Finding]:
 
 def check_tracking() -> Iterator[Finding]:
     """Ten frames by the program's own path: written as MP4, read, tracked, recorded, also in a worker."""
-    out, error = try_code(_TRACK)
-    yield Finding("ten frames", "broken", error, REPORT) if error else Finding("ten frames", "ok", out)
+    output, error = try_code(_TRACK)
+    yield Finding("ten frames", "broken", error, REPORT) if error else Finding("ten frames", "ok", output)
 
 
 def check_extras() -> Iterator[Finding]:
     """Optional packages, and their purpose."""
     for name, (purpose, extra) in EXTRAS.items():
-        found = installed(name)
-        if found is None:
+        distribution = installed(name)
+        if distribution is None:
             cure = f'if wanted: python -m pip install "{OURS}[{extra}]"'
             yield Finding("extra", "note", f"{name} is not installed: {purpose}", cure)
         else:
-            yield Finding("extra", "ok", f"{name} {found.version}: {purpose}")
+            yield Finding("extra", "ok", f"{name} {distribution.version}: {purpose}")
 
 
 def check_models() -> Iterator[Finding]:
     """Files of networks in the folders of models, and whether the graph `deep` finds its own."""
     import json
 
-    out, error = try_code(_MODELS)
+    output, error = try_code(_MODELS)
     if error:
         yield Finding("models", "broken", error, "mend what is above first")
         return
-    found = json.loads(out)
-    usual, folders = " and ".join(found["usual"]), " or ".join(found["folders"])
-    if found["missing"]:
-        cure = f"if wanted: put {usual} there, or name their folder in the variable {found['variable']}"
-        yield Finding("models", "note", f"the graph deep finds no {found['missing'][0]} in {folders}", cure)
-    for folder, names in found["files"].items():
+    report = json.loads(output)
+    expected, folders = " and ".join(report["usual"]), " or ".join(report["folders"])
+    if report["missing"]:
+        cure = f"if wanted: put {expected} there, or name their folder in the variable {report['variable']}"
+        yield Finding("models", "note", f"the graph deep finds no {report['missing'][0]} in {folders}", cure)
+    for folder, names in report["files"].items():
         yield Finding("models", "ok", f"{folder}: {', '.join(names)}")
 
 

@@ -53,7 +53,7 @@ COLUMNS = (
 
 
 def find(course: Course, switches: int = 0) -> Iterator[Finding]:
-    """What stands out in the course of one target, with its `COLUMNS`, without its first frame.
+    """Find what stands out in the course of one target, with its `COLUMNS`, without its first frame.
 
     `switches` is how many times an agent of its net was switched on or off.
     """
@@ -61,23 +61,23 @@ def find(course: Course, switches: int = 0) -> Iterator[Finding]:
     if len(later) < FEW_FRAMES:
         return
     for check in CHECKS:
-        yield from (replace(one, measure=check.__name__.strip("_")) for one in check(later))
+        yield from (replace(finding, measure=check.__name__.strip("_")) for finding in check(later))
     yield from _switching(later, switches)
 
 
 def find_failures(target: str, failures: Sequence[Quarantined]) -> Iterator[Finding]:
     """A finding per agent of a target that failed, however short the run."""
     for agent in dict.fromkeys(event.node for event in failures):
-        own = [event for event in failures if event.node == agent]
-        times = "once" if len(own) == 1 else f"{len(own)} times"
-        what = f"{agent} failed {times}, first in frame {own[0].frame}: {own[0].reason}"
-        yield Finding(target, what, None, agent, own[0].frame, "failed")
+        events = [event for event in failures if event.node == agent]
+        times = "once" if len(events) == 1 else f"{len(events)} times"
+        text = f"{agent} failed {times}, first in frame {events[0].frame}: {events[0].reason}"
+        yield Finding(target, text, None, agent, events[0].frame, "failed")
 
 
 def until_lost(course: Course) -> Course:
     """The course without the last stretch in which the target is lost: a target that leaves ends so."""
-    shown = np.flatnonzero(~course.is_gone)
-    return course.part(0, int(shown[-1]) + 1 if len(shown) else 0)
+    visible = np.flatnonzero(~course.is_gone)
+    return course.part(0, int(visible[-1]) + 1 if len(visible) else 0)
 
 
 def _effective(course: Course) -> Iterator[Finding]:
@@ -85,8 +85,8 @@ def _effective(course: Course) -> Iterator[Finding]:
     counts = ess[course.numbers("particles") > 20]
     if len(counts) and np.median(counts) < FEWEST:
         worst = int(course.frame[ess.argmin()])
-        what = f"the effective number of hypotheses is {np.median(counts):.1f} (median; below {FEWEST})"
-        yield Finding(course.target, what, "sharp", _loudest(course), worst)
+        text = f"the effective number of hypotheses is {np.median(counts):.1f} (median; below {FEWEST})"
+        yield Finding(course.target, text, "sharp", _loudest(course), worst)
 
 
 def _doubt(course: Course) -> Iterator[Finding]:
@@ -102,27 +102,27 @@ def _doubt(course: Course) -> Iterator[Finding]:
         if is_there[is_doubtful].any()
     }
     # Only a look-alike in reach bounds the score by exactly one half.
-    alike = int((features["most"][1] == 0.5).sum()) if "most" in features else 0
+    lookalikes = int((features["most"][1] == 0.5).sum()) if "most" in features else 0
     decided = _decided(course, is_doubtful)
-    what = f"uncertain in {count} of {len(course)} frames, decided in frame {decided}"
-    if 2 * alike >= count:
-        what += f", in {alike} of them because of a look-alike"
-        yield Finding(course.target, what, "alike", frame=decided)
+    text = f"uncertain in {count} of {len(course)} frames, decided in frame {decided}"
+    if 2 * lookalikes >= count:
+        text += f", in {lookalikes} of them because of a look-alike"
+        yield Finding(course.target, text, "alike", frame=decided)
         return
     if "log_fit" in features:
         is_there, numbers = features["log_fit"]
         fit = exp(np.median(numbers[is_there]))
-        what += f"; the best box has {fit:.2g} of the likelihood of a perfect match (median)"
-    further = sorted(features.keys() - {*FEATURES, "most"})
-    said = {name: float(np.median(np.where(*features[name], 0.0))) for name in further}
-    verifiers = [name for name in said if not name.startswith(CONFIDENCE)]
+        text += f"; the best box has {fit:.2g} of the likelihood of a perfect match (median)"
+    extra_names = sorted(features.keys() - {*FEATURES, "most"})
+    medians = {name: float(np.median(np.where(*features[name], 0.0))) for name in extra_names}
+    verifiers = [name for name in medians if not name.startswith(CONFIDENCE)]
     if verifiers:
-        worst = min(verifiers, key=lambda name: said[name])
-        what += f"; by the verifier {worst} it has {exp(said[worst]):.2g}"
-    for name in (name for name in said if name.startswith(CONFIDENCE)):
-        sure = 1.0 / (1.0 + exp(-said[name]))
-        what += f"; {name.removeprefix(CONFIDENCE)} is sure of it to {sure:.0%} (median)"
-    yield Finding(course.target, what, None, frame=decided)
+        worst = min(verifiers, key=lambda name: medians[name])
+        text += f"; by the verifier {worst} it has {exp(medians[worst]):.2g}"
+    for name in (name for name in medians if name.startswith(CONFIDENCE)):
+        sure = 1.0 / (1.0 + exp(-medians[name]))
+        text += f"; {name.removeprefix(CONFIDENCE)} is sure of it to {sure:.0%} (median)"
+    yield Finding(course.target, text, None, frame=decided)
 
 
 def _unforeseen(course: Course) -> Iterator[Finding]:
@@ -135,19 +135,19 @@ def _unforeseen(course: Course) -> Iterator[Finding]:
     count = int(is_poor.sum())
     if 0 < count <= len(course) // 5:
         first = int(course.frame[is_poor.argmax()])
-        what = (
+        text = (
             f"in {count} of {len(course)} frames the evidence is far below that of other frames, "
             f"first in frame {first}"
         )
-        yield Finding(course.target, what, "bursts", frame=first)
+        yield Finding(course.target, text, "bursts", frame=first)
 
 
 def _is_far_below(values: Floats) -> NDArray[np.bool_]:
     if len(values) < FEW_FRAMES:
         return np.zeros(len(values), dtype=bool)
-    usual = np.median(values)
-    spread = float(np.median(np.abs(values - usual)))
-    return np.asarray(values < usual - max(8 * spread, 3.0))
+    median = np.median(values)
+    spread = float(np.median(np.abs(values - median)))
+    return np.asarray(values < median - max(8 * spread, 3.0))
 
 
 def _contradiction(course: Course) -> Iterator[Finding]:
@@ -156,8 +156,8 @@ def _contradiction(course: Course) -> Iterator[Finding]:
     for agent, (is_there, numbers) in divergences.items():
         values = numbers[is_there & (beside > 1)]
         if len(values) >= FEW_FRAMES and np.median(values) > 4.0:
-            what = f"{agent} contradicts the belief: KL {np.median(values):.1f} nats (median; above 4)"
-            yield Finding(course.target, what, "sharp", agent)
+            text = f"{agent} contradicts the belief: KL {np.median(values):.1f} nats (median; above 4)"
+            yield Finding(course.target, text, "sharp", agent)
 
 
 def _predicted(course: Course) -> Iterator[Finding]:
@@ -166,20 +166,20 @@ def _predicted(course: Course) -> Iterator[Finding]:
         count = int(is_there.sum())
         if count < FEW_P_VALUES:
             continue
-        far = course.frame[is_there & (numbers < 0.05)]
-        usual = np.median(numbers[is_there])
-        if len(far) > 0.15 * count:
-            what = (
-                f"{agent} measures outside of the predicted 95 % in {len(far)} of {count} frames, first "
-                f"in frame {far[0]} (expected 5 %; above 15 %)"
+        outliers = course.frame[is_there & (numbers < 0.05)]
+        median = np.median(numbers[is_there])
+        if len(outliers) > 0.15 * count:
+            text = (
+                f"{agent} measures outside of the predicted 95 % in {len(outliers)} of {count} frames, first "
+                f"in frame {outliers[0]} (expected 5 %; above 15 %)"
             )
-            yield Finding(course.target, what, "narrow", agent, int(far[0]))
-        elif usual > 0.8:
-            what = (
-                f"{agent} measures closer to the prediction than predicted: p-value {usual:.2f} (median; "
+            yield Finding(course.target, text, "narrow", agent, int(outliers[0]))
+        elif median > 0.8:
+            text = (
+                f"{agent} measures closer to the prediction than predicted: p-value {median:.2f} (median; "
                 "above 0.8, expected 0.5)"
             )
-            yield Finding(course.target, what, "wide", agent)
+            yield Finding(course.target, text, "wide", agent)
 
 
 def _lost(course: Course) -> Iterator[Finding]:
@@ -187,8 +187,8 @@ def _lost(course: Course) -> Iterator[Finding]:
     if not is_lost.any():
         return
     decided = _decided(course, is_lost)
-    what = f"lost in {is_lost.sum()} of {len(course)} frames, decided in frame {decided}"
-    yield Finding(course.target, what, "gone" if course.is_gone[-1] else None, frame=decided)
+    text = f"lost in {is_lost.sum()} of {len(course)} frames, decided in frame {decided}"
+    yield Finding(course.target, text, "gone" if course.is_gone[-1] else None, frame=decided)
 
 
 def _decided(course: Course, rows: NDArray[np.bool_]) -> int:
@@ -201,14 +201,14 @@ def _decided(course: Course, rows: NDArray[np.bool_]) -> int:
 def _learning(course: Course) -> Iterator[Finding]:
     learnt = int((course.numbers("learn_rate") > 0).sum())
     if learnt < len(course) // 10:
-        what = f"references learned in {learnt} of {len(course)} frames only (below 10 %)"
-        yield Finding(course.target, what, "stale")
+        text = f"references learned in {learnt} of {len(course)} frames only (below 10 %)"
+        yield Finding(course.target, text, "stale")
 
 
 def _switching(course: Course, switches: int) -> Iterator[Finding]:
     if switches > len(course) // 4:
-        what = f"agents are switched {switches} times in {len(course)} frames (above once in four)"
-        yield Finding(course.target, what, "flicker", measure="switching")
+        text = f"agents are switched {switches} times in {len(course)} frames (above once in four)"
+        yield Finding(course.target, text, "flicker", measure="switching")
 
 
 def _loudest(course: Course) -> str | None:

@@ -296,7 +296,7 @@ class Video:
 
 
 def find_videos(options: argparse.Namespace) -> Iterator[Video]:
-    """Those of `--source` with `--truth`, and of `--folder`."""
+    """The videos of `--source` with `--truth`, and of `--folder`."""
     from bayesnet_track.evaluate.truth import read_truth
 
     if len(options.source) != len(options.truth):
@@ -335,6 +335,6 @@ def frames_of(video: Video, end: int | None) -> Iterator[Iterator[Frame]]:
 
 
 def _name(source: str) -> str:
-    """What a source is called: a folder of pictures of a sequence is called as the sequence is."""
+    """The name of a source: a folder of pictures of a sequence is called as the sequence is."""
     path = Path(source)
     return (path.parent if path.name in ("img", "img1") else path).name or source

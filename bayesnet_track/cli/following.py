@@ -37,7 +37,7 @@ ENDINGS = {
 }
 
 
-def say_end(options: argparse.Namespace, out: Path, summary: Summary) -> None:
+def say_end(options: argparse.Namespace, folder: Path, summary: Summary) -> None:
     """Warnings, failures, then how the run went: a sentence, with --json an object, with --quiet nothing.
 
     Of `what-if` the object is the comparison.
@@ -48,21 +48,22 @@ def say_end(options: argparse.Namespace, out: Path, summary: Summary) -> None:
         complain(explain(notice))
     if len(summary.notices) > SHOWN_NOTICES:
         complain(
-            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {out}` lists them all"
+            f"... and {len(summary.notices) - SHOWN_NOTICES} more; `bayesnet-track log {folder}` lists them "
+            "all"
         )
     for failure in list(summary.failures.values())[:SHOWN_NOTICES]:
         complain(explain(failure))
     if getattr(options, "json", False):
         if options.command in ("run", "resume"):
-            say(json.dumps(as_object(out, summary)))
+            say(json.dumps(as_object(folder, summary)))
     elif not options.quiet:
-        say(f"{out}: {as_sentence(summary)}")
+        say(f"{folder}: {as_sentence(summary)}")
 
 
-def as_object(out: Path, summary: Summary) -> dict[str, object]:
-    """What --json prints of a run."""
+def as_object(folder: Path, summary: Summary) -> dict[str, object]:
+    """The object that --json prints of a run."""
     return {
-        "run": str(out),
+        "run": str(folder),
         "frames": summary.frames,
         "seconds": round(summary.seconds, 3),
         "frames_per_second": round(summary.frames_per_second, 1),
@@ -86,28 +87,28 @@ def as_sentence(summary: Summary) -> str:
     parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:
         lost = f"lost in {_count(summary.lost_frames, 'frame')}"
-        several = f"a target {lost} (at most {summary.most_targets} targets at a time)"
-        parts.append(lost if summary.most_targets < 2 else several)
+        target_loss = f"a target {lost} (at most {summary.most_targets} targets at a time)"
+        parts.append(lost if summary.most_targets < 2 else target_loss)
     if not summary.complete:
         parts.append(ENDINGS[summary.reason])
     return ", ".join(parts)
 
 
-def say_next(options: argparse.Namespace, out: Path, summary: Summary) -> None:
+def say_next(options: argparse.Namespace, folder: Path, summary: Summary) -> None:
     """The command that is useful next: nothing where a program reads."""
     if options.quiet or options.log_json or getattr(options, "json", False) or not summary.frames:
         return
     if summary.reason == "interrupted":
-        again = f"`bayesnet-track resume {out}` goes on from here; "
-        can_resume = (out / "checkpoint").exists()
-        shows = f"`bayesnet-track report {out} --open` shows what there is"
-        complain(f"next: {again if can_resume else ''}{shows}")
+        resume_hint = f"`bayesnet-track resume {folder}` goes on from here; "
+        can_resume = (folder / "checkpoint").exists()
+        shows = f"`bayesnet-track report {folder} --open` shows what there is"
+        complain(f"next: {resume_hint if can_resume else ''}{shows}")
     else:
-        shows = f"`bayesnet-track report {out} --open` shows the run in a browser"
-        then = f"`bayesnet-track log {out}` prints its decisions"
+        shows = f"`bayesnet-track report {folder} --open` shows the run in a browser"
+        next_hint = f"`bayesnet-track log {folder}` prints its decisions"
         if summary.lost_frames:
-            then = f"`bayesnet-track diagnose {out}` names a key to try where it is lost"
-        complain(f"next: {shows}; {then}")
+            next_hint = f"`bayesnet-track diagnose {folder}` names a key to try where it is lost"
+        complain(f"next: {shows}; {next_hint}")
 
 
 def _count(number: int, noun: str) -> str:
@@ -128,8 +129,8 @@ def open_view(options: argparse.Namespace) -> Iterator[LiveView | None]:
     try:
         view = LiveView(options.view_host, options.view or None)
     except OSError as error:
-        where = f"{options.view_host} port {options.view}" if options.view else options.view_host
-        raise UsageError(f"--view: {where}: {words(error)}; choose another, or none") from error
+        address = f"{options.view_host} port {options.view}" if options.view else options.view_host
+        raise UsageError(f"--view: {address}: {words(error)}; choose another, or none") from error
     with view:
         announce(options, view.address)
         yield view
@@ -148,7 +149,7 @@ def begin(
     graph: CheckedGraph,
     source: FrameSource,
     starts: Sequence[Start],
-    out: Path,
+    folder: Path,
 ) -> Sequence[Start] | None:
     """The boxes to start with, drawn on the page where none is given; None when stopped before."""
     from bayesnet_track.engine.starts import has_births
@@ -157,8 +158,8 @@ def begin(
     stop: StopRequest = options.stop
     view.controls.can_switch = getattr(options, "inputs", None) is None
     if not options.overwrite:
-        RunDirectory.create(str(out), overwrite=False)  # what is wrong there is told before anybody waits
-    view.shows(graph, source, out=str(out))
+        RunDirectory.create(str(folder), overwrite=False)  # what is wrong there is told before anybody waits
+    view.shows(graph, source, out=str(folder))
 
     def give_up() -> bool:
         return stop.signal is not None
@@ -166,11 +167,11 @@ def begin(
     if not starts and not has_births(graph):
         first = getattr(source, "first_frame", None)
         assert first is not None
-        chosen = view.choose(graph, source, first, give_up)
-        for one in chosen or ():
-            box = ",".join(f"{value:g}" for value in one.box)
-            complain(f"start box: --init {f'{one.plate}:' if one.plate else ''}{box}")
-        return chosen
+        selected = view.choose(graph, source, first, give_up)
+        for start in selected or ():
+            box = ",".join(f"{value:g}" for value in start.box)
+            complain(f"start box: --init {f'{start.plate}:' if start.plate else ''}{box}")
+        return selected
     if not options.view_now:
         view.wait_for_page(give_up)
     view.controls.to("starting")
@@ -191,13 +192,13 @@ def begin_again(
     recipe = Recipe.read(directory)
     view.controls.can_switch = recipe.inputs is None
     view.shows(recipe.load_graph(directory), out=str(directory.path), expected=expected)
-    last = standing(directory.path).frame
-    if last is not None:  # else it starts again, and sends every event
-        events = [one for one in read_events(directory.journal) if not isinstance(one, RunEnded)]
+    last_frame = standing(directory.path).frame
+    if last_frame is not None:  # else it starts again, and sends every event
+        events = [event for event in read_events(directory.journal) if not isinstance(event, RunEnded)]
         view.recall(
-            [one for one in events if isinstance(one, RunStarted) or one.frame <= last],
-            [line for line in read_metrics(directory.frames) if line.frame <= last],
-            [line for line in read_timings(directory.timings) if line["frame"] <= last],
+            [event for event in events if isinstance(event, RunStarted) or event.frame <= last_frame],
+            [line for line in read_metrics(directory.frames) if line.frame <= last_frame],
+            [line for line in read_timings(directory.timings) if line["frame"] <= last_frame],
         )
     if not options.view_now:
         view.wait_for_page(lambda: stop.signal is not None)
@@ -238,7 +239,7 @@ MOST_NAMED = 3
 
 @contextmanager
 def users_start() -> Iterator[None]:
-    """What cannot start inside it cannot because of the arguments: `UsageError`."""
+    """Raise `UsageError` for what cannot start inside it because of the arguments."""
     from bayesnet_track.engine.starts import StartError
     from bayesnet_track.observation.detector import DetectorError
     from bayesnet_track.runtime.executors import PlacingError
@@ -254,7 +255,7 @@ def follow(
     results: Generator[Result, None, None],
     summary: Summary,
     expected: int | None,
-    out: Path,
+    folder: Path,
     view: LiveView | None = None,
 ) -> int:
     """Track to the end or until a signal, showing how far it is of the frames `expected`; the exit code.
@@ -281,9 +282,9 @@ def follow(
                 break
             if view is not None and (view.hold(lambda: stop.signal is not None) or stop.between_frames()):
                 break
-    say_end(options, out, summary)
+    say_end(options, folder, summary)
     if options.command in ("run", "resume"):
-        say_next(options, out, summary)
+        say_next(options, folder, summary)
     if stop.signal is not None:
         return stop.exit_code
     stop.is_patient = False
@@ -332,5 +333,5 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
     ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
     unit = next((metrics.ud_unit for metrics in result.targets), "px²")
     # As if no time passed while kernels are compiled: the rate is that of frames.
-    now = time.monotonic() - WATCH.seconds
-    run_silently(partial(progress.update, now, summary.frames, tuple(active), ud_px2, status, unit))
+    time_s = time.monotonic() - WATCH.seconds
+    run_silently(partial(progress.update, time_s, summary.frames, tuple(active), ud_px2, status, unit))

@@ -82,23 +82,23 @@ def identities_of(events: Sequence[Event], courses: Mapping[str, Course]) -> lis
     from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetDied, TargetStarted
 
     confirmed = {event.target: event for event in events if isinstance(event, CandidateConfirmed)}
-    started = {event.target: event for event in events if isinstance(event, TargetStarted)}
+    starts = {event.target: event for event in events if isinstance(event, TargetStarted)}
     died = {event.target: event for event in events if isinstance(event, TargetDied)}
     refused = {event.target: event.refusal for event in events if isinstance(event, DetectionRefused)}
     identities = []
     for target, birth in confirmed.items():
         course = courses.get(target)
-        if target not in started or course is None:
+        if target not in starts or course is None:
             continue
-        shown = np.flatnonzero(~course.is_gone)
-        start = started[target]
+        visible = np.flatnonzero(~course.is_gone)
+        start = starts[target]
         end, last_frame, velocity = start.box, start.frame, (0.0, 0.0)
-        if len(shown):
+        if len(visible):
             boxes, frames = np.asarray(course.block.columns["box"], dtype=np.float64).T, course.frame
-            last, earlier = int(shown[-1]), max(int(shown[-1]) - 3, 0)
-            end, last_frame = boxes[last].tolist(), int(frames[last])
-            steps = max(int(frames[last] - frames[earlier]), 1)
-            velocity = ((boxes[last, :2] - boxes[earlier, :2]) / steps).tolist()
+            last_row, earlier = int(visible[-1]), max(int(visible[-1]) - 3, 0)
+            end, last_frame = boxes[last_row].tolist(), int(frames[last_row])
+            steps = max(int(frames[last_row] - frames[earlier]), 1)
+            velocity = ((boxes[last_row, :2] - boxes[earlier, :2]) / steps).tolist()
         refusal, death = refused.get(target), died.get(target)
         # Frames after its last detection are no frames of its own: there it was only predicted.
         if death is not None and death.reason != "lost":
@@ -147,21 +147,21 @@ def find_identities(
     example = next((identity for identity in cut if identity.refusal is not None), cut[0])
     median = float(np.median([identity.frames for identity in identities]))
     count = len(identities)
-    what = (
+    text = (
         f"{count} identities are {tracks} track{'' if tracks == 1 else 's'} by where they end and start: "
         f"{count / tracks:.1f} a track, {plural(median, 'frame')} long (median); {len(refusals)} of the "
         f"{len(cut)} that go on as another ended beside a detection that no target had"
     )
     refusal = example.refusal
     if refusal is not None:
-        what += (
+        text += (
             f", first in frame {refusal.missed_frame}: {refusal.distance_px:.0f} px away, "
             f"{' and '.join(refusal.bounds())}"
         )
     frame = example.last_frame if refusal is None else refusal.missed_frame
     settings = [*_settings(refusals, graph, plate), *_longer(cut, successors, graph, plate)]
     yield Finding(
-        example.target, what, None, None if refusal is None else refusal.agent, frame, "identities",
+        example.target, text, None, None if refusal is None else refusal.agent, frame, "identities",
         tuple(settings[:MOST_SETTINGS]),
     )  # fmt: skip
 

@@ -106,10 +106,10 @@ def _streams() -> Iterator[None]:
 
                 nowhere = stack.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
                 stack.enter_context(redirect(nowhere))
-        out = sys.stdout
-        if isinstance(out, TextIOWrapper) and out.errors == "strict":
-            out.reconfigure(errors="replace")
-            stack.callback(out.reconfigure, errors="strict")
+        stdout = sys.stdout
+        if isinstance(stdout, TextIOWrapper) and stdout.errors == "strict":
+            stdout.reconfigure(errors="replace")
+            stack.callback(stdout.reconfigure, errors="strict")
         yield
 
 
@@ -186,16 +186,16 @@ def _allow(options: argparse.Namespace) -> None:
 
         for file in files:
             use_cue_file(file)
-    names = [name for given in getattr(options, "allow_plugins", ()) for name in given]
+    names = [name for group in getattr(options, "allow_plugins", ()) for name in group]
     if not names:
         return
     from bayesnet_track.observation import cue, detector, plugins
 
-    known = {**plugins.others(cue.ENTRY_POINT_GROUP), **plugins.others(detector.ENTRY_POINT_GROUP)}
+    available = {**plugins.others(cue.ENTRY_POINT_GROUP), **plugins.others(detector.ENTRY_POINT_GROUP)}
     for name in names:
-        if name not in known:
-            there = ", ".join(sorted(known)) or "none is installed"
-            raise UsageError(f"--allow-plugins {name}: no other package has it; there are: {there}")
+        if name not in available:
+            available_names = ", ".join(sorted(available)) or "none is installed"
+            raise UsageError(f"--allow-plugins {name}: no other package has it; there are: {available_names}")
     plugins.allow(names)
 
 

@@ -226,12 +226,12 @@ def value_range(text: str) -> tuple[float, float]:
     from bayesnet_track.sources.entrances.levels import value_range_of
 
     try:
-        found = value_range_of(text.split(","))
+        limits = value_range_of(text.split(","))
     except ValueError:
-        found = None
-    if found is None:
+        limits = None
+    if limits is None:
         raise argparse.ArgumentTypeError(f"{text!r}: LOW,HIGH is needed, two numbers, the lower one first")
-    return found
+    return limits
 
 
 def add_range_option(parser: argparse.ArgumentParser) -> None:
@@ -304,13 +304,13 @@ def open_depth(options: argparse.Namespace, end: int | None) -> Source:
     )
 
 
-def given_once_or_named(option: str, given: Sequence[str] | str | None, graph: CheckedGraph) -> Any:
+def given_once_or_named(option: str, values: Sequence[str] | str | None, graph: CheckedGraph) -> Any:
     """A text that is given once, or, of a graph with several cameras, camera -> text; None without any.
 
     Raises:
         UsageError: several texts for one image, a text without one of the cameras, or a camera twice.
     """
-    texts = [given] if isinstance(given, str) else list(given or ())
+    texts = [values] if isinstance(values, str) else list(values or ())
     if not texts:
         return None
     cameras = graph.several_cameras
@@ -326,10 +326,10 @@ def given_once_or_named(option: str, given: Sequence[str] | str | None, graph: C
     for text in texts:
         camera, equals, value = text.partition("=")
         if not equals or camera not in cameras:
-            close = nearest(camera, cameras) if equals else ""
+            suggestion = nearest(camera, cameras) if equals else ""
             raise UsageError(
                 f"{option} {text}: CAMERA=... is needed with one of {', '.join(cameras)}, the cameras of the "
-                f"graph {graph.spec.name}" + (f"; nearest: {close}" if close else "")
+                f"graph {graph.spec.name}" + (f"; nearest: {suggestion}" if suggestion else "")
             )
         if camera in named:
             raise UsageError(f"{option} {text}: the second one of camera {camera}, after {named[camera]}")

@@ -96,15 +96,15 @@ def describe_commands(commands: argparse._SubParsersAction[Any]) -> str:
     """The groups, each command with its line and its example."""
     lines = {choice.dest: choice.help or "" for choice in commands._choices_actions}
     width = max(map(len, lines))
-    shown: list[str] = []
+    text_lines: list[str] = []
     for title, names in GROUPS.items():
-        shown += [f"{title}:"]
+        text_lines += [f"{title}:"]
         for name in names:
-            shown += [
+            text_lines += [
                 f"  {name:{width}}  {lines[name]}",
                 f"  {'':{width}}  $ bayesnet-track {EXAMPLES[name]}",
             ]
-    return "\n".join(shown)
+    return "\n".join(text_lines)
 
 
 def add_examples(commands: argparse._SubParsersAction[Any]) -> None:
@@ -128,22 +128,22 @@ class Parser(argparse.ArgumentParser):
     given: Sequence[str] = ()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As inherited; remembers what was given."""
+        """Parse as inherited, and remember the arguments."""
         self.given = list(args or ())
         return super().parse_known_args(args, namespace)
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong in one line, a suggestion and where to look; exits with code 2."""
         unknown = [] if isinstance(self, MainParser) else [self.describe_option(w) for w in self.unknown()]
-        said = hide_secrets(suggest(message))
-        text = "; ".join([*unknown, said] if "required" in message else [said])
+        suggestion = hide_secrets(suggest(message))
+        text = "; ".join([*unknown, suggestion] if "required" in message else [suggestion])
         self.exit(2, f"{self.prog}: {text}\n`{self.prog} --help` lists what there is\n")
 
     def refuse(self, extras: Sequence[str]) -> NoReturn:
         """Refuse words that nothing takes."""
         options = [self.describe_option(word) for word in extras if re.match(r"--?[A-Za-z]", word)]
-        said = f"nothing takes {' '.join(extras)!r}; a value is one word, as 1,2,3,4 is, or in quotes"
-        self.error("; ".join(options) or said)
+        fault = f"nothing takes {' '.join(extras)!r}; a value is one word, as 1,2,3,4 is, or in quotes"
+        self.error("; ".join(options) or fault)
 
     def unknown(self) -> Iterable[str]:
         """Words that were given as options and begin no option of the parser."""
@@ -165,8 +165,8 @@ class MainParser(Parser):
 
     def format_help(self) -> str:
         """Text of the help: usage, the commands in groups, the exit codes."""
-        more = "`bayesnet-track COMMAND --help` lists the options of a command, --version the version."
-        parts = (self.format_usage().rstrip(), self.description, describe_commands(self.commands), more)
+        hint = "`bayesnet-track COMMAND --help` lists the options of a command, --version the version."
+        parts = (self.format_usage().rstrip(), self.description, describe_commands(self.commands), hint)
         return "\n\n".join([*(part or "" for part in parts), f"{self.epilog}\n"])
 
 
@@ -182,14 +182,14 @@ def suggest(message: str) -> str:
     names = choice["names"].replace("'", "").split(", ")
     is_command = choice["what"] == "COMMAND"
     listed = "" if is_command else f"; there are {', '.join(names)}"
-    what = "command" if is_command else choice["what"]
-    return f"no {what} {choice['word']!r}{listed}{nearest(choice['word'], names)}"
+    kind = "command" if is_command else choice["what"]
+    return f"no {kind} {choice['word']!r}{listed}{nearest(choice['word'], names)}"
 
 
 def nearest(word: str, names: Iterable[str]) -> str:
     """`; did you mean run?`, or nothing."""
-    close = get_close_matches(word, [*names], n=1, cutoff=0.55)
-    return f"; did you mean {close[0]}?" if close else ""
+    matches = get_close_matches(word, [*names], n=1, cutoff=0.55)
+    return f"; did you mean {matches[0]}?" if matches else ""
 
 
 EXIT_CODES = """\

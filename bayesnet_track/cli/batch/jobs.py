@@ -166,18 +166,18 @@ def videos_of(sources: Sequence[str], init_from: str | None = None, truth: str |
     Raises:
         BatchError: a pattern matches nothing, or has other words in braces.
     """
-    found = []
+    paths = []
     for pattern in sources:
         is_pattern = glob.has_magic(pattern)
         matching = glob.glob(pattern, recursive=True) if is_pattern else [pattern]  # noqa: PTH207
         names = sorted(name for name in matching if not (is_pattern and is_junk(Path(name))))
         if not names:
             raise BatchError(f"--source {shown_address(pattern)!r} matches nothing")
-        found += names
-    named = _unique([_name(source) for source in found])
+        paths += names
+    named = _unique([_name(source) for source in paths])
     return [
         Video(source, name, None, _fill(init_from, source, name), _fill(truth, source, name))
-        for source, name in zip(found, named, strict=True)
+        for source, name in zip(paths, named, strict=True)
     ]
 
 
@@ -210,8 +210,8 @@ def _csv_rows(path: Path, text: str) -> Iterator[tuple[str, Mapping[str, str]]]:
         try:
             (values,) = csv.reader([line], strict=True)
         except csv.Error as error:
-            said = f"a quote is opened and not closed ({error})" if line.count('"') % 2 else str(error)
-            raise BatchError(f"{place}: {said}; a video is one line") from None
+            fault = f"a quote is opened and not closed ({error})" if line.count('"') % 2 else str(error)
+            raise BatchError(f"{place}: {fault}; a video is one line") from None
         if columns is None:
             columns = values
             continue
@@ -238,8 +238,8 @@ def _row(place: str, values: Any) -> Mapping[str, str]:
         raise BatchError(f"{place}: texts by the names {', '.join(COLUMNS)} are needed")
     unknown = [str(key) for key in values if key not in COLUMNS]
     if unknown or not values.get("source"):
-        what = f"unknown column {unknown[0]!r}" if unknown else "no source"
-        raise BatchError(f"{place}: {what}; columns are {', '.join(COLUMNS)}")
+        fault = f"unknown column {unknown[0]!r}" if unknown else "no source"
+        raise BatchError(f"{place}: {fault}; columns are {', '.join(COLUMNS)}")
     return values
 
 
@@ -282,12 +282,12 @@ def _listed_names(lines: Sequence[tuple[str, Mapping[str, str]]]) -> list[str]:
                 f"{place}: the name {name!r} is that of {earlier}, or differs from it in upper and lower "
                 "case alone; names are needed that differ"
             )
-    others = iter(_unique([_name(row["source"]) for _, row in lines if row.get("name") is None], places))
-    return [_folder_name(row["name"]) if "name" in row else next(others) for _, row in lines]
+    generated = iter(_unique([_name(row["source"]) for _, row in lines if row.get("name") is None], places))
+    return [_folder_name(row["name"]) if "name" in row else next(generated) for _, row in lines]
 
 
 def _fault(name: str) -> str | None:
-    """What keeps a name from being that of a folder, in words."""
+    """The reason that keeps a name from being that of a folder, in words."""
     if not name.strip(". "):
         return "is empty" if not name.strip() else "leads out of its folder or is hidden by it"
     if any(letter in "/\\" for letter in name):
@@ -313,16 +313,16 @@ def _folder_name(name: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "._-" else "_" for letter in composed)
 
 
-def _unique(names: list[str], taken: Mapping[str, str] | None = None) -> list[str]:
+def _unique(names: list[str], reserved: Mapping[str, str] | None = None) -> list[str]:
     """Each name once, and none that is taken: the second "a" is "a-2"."""
-    keys, given = set(taken or ()), []
+    keys, unique = set(reserved or ()), []
     for name in names:
         plain = _folder_name(name)
         plain = plain[: LONGEST_NAME // 4] if plain.strip(".") else "video"
-        chosen, number = plain, 1
-        while _same(chosen) in keys or RESERVED.fullmatch(_same(chosen)):
+        candidate, number = plain, 1
+        while _same(candidate) in keys or RESERVED.fullmatch(_same(candidate)):
             number += 1
-            chosen = f"{plain}-{number}"
-        keys.add(_same(chosen))
-        given.append(chosen)
-    return given
+            candidate = f"{plain}-{number}"
+        keys.add(_same(candidate))
+        unique.append(candidate)
+    return unique

@@ -28,7 +28,7 @@ MANY_FILES = "raise the limit on open files (`ulimit -n`), or give fewer --jobs"
 
 
 def most_runs() -> int | None:
-    """How many runs at a time the limit on open files lets be started; None where none is known."""
+    """The number of runs at a time that the limit on open files allows; None where no limit is known."""
     if os.name != "posix":
         return None
     import resource
@@ -36,8 +36,8 @@ def most_runs() -> int | None:
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY:
         return None
-    here = Path("/dev/fd")
-    is_open = len(list(here.iterdir())) if here.is_dir() else 16
+    descriptors = Path("/dev/fd")
+    is_open = len(list(descriptors.iterdir())) if descriptors.is_dir() else 16
     return max(0, (soft - is_open - FILES_MORE) // FILES_EACH)
 
 
@@ -110,7 +110,7 @@ ENDING_S = 5.0
 
 @dataclass(frozen=True)
 class Progress:
-    """What is reported of a job.
+    """A report of a job.
 
     Attributes:
         job: the job.
@@ -128,7 +128,7 @@ class Progress:
 
 
 class Place(Protocol):
-    """Where jobs run."""
+    """A place where jobs run."""
 
     def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
         """Do the jobs; what is reported of them as it comes, each one's row in the end, None when all is
@@ -155,21 +155,21 @@ class Processes:
     timeout_s: float | None = None
 
     def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
-        """As of a `Place`."""
+        """Do the jobs as a `Place` does."""
         reports: SimpleQueue[Progress] = SimpleQueue()
         workers = _Workers()
         pool = ThreadPoolExecutor(self.at_a_time)
         try:
             for job in jobs:
                 pool.submit(_supervise, job, self.timeout_s, reports, workers)
-            left = len(jobs)
-            while left:
+            remaining = len(jobs)
+            while remaining:
                 try:
                     report = reports.get(timeout=WAIT_S)
                 except Empty:
                     yield None
                     continue
-                left -= report.row is not None
+                remaining -= report.row is not None
                 yield report
         finally:
             workers.end()
@@ -253,12 +253,12 @@ class _Worker:
     def __init__(self) -> None:
         pipe, self.jobs = subprocess.PIPE, 0
         with ExitStack() as stack:
-            held, lifeline = tie()
+            descriptor, lifeline = tie()
             stack.callback(cut, lifeline)
             command = python(
-                "from bayesnet_track.cli.batch.work import main; sys.exit(main())", descriptor=held
+                "from bayesnet_track.cli.batch.work import main; sys.exit(main())", descriptor=descriptor
             )
-            files = () if held < 0 else (held,)
+            files = () if descriptor < 0 else (descriptor,)
             try:
                 self._complaints = stack.enter_context(
                     tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
@@ -267,7 +267,7 @@ class _Worker:
                     command, stdin=pipe, stdout=pipe, stderr=self._complaints, text=True, pass_fds=files
                 )
             finally:
-                cut(held)
+                cut(descriptor)
             self._files = stack.pop_all()
 
     @property
@@ -284,7 +284,7 @@ class _Worker:
         if timeout_s is not None:
             alarm.start()
         try:
-            row = self._told(job, reports)
+            row = self._run_job(job, reports)
             code = self._process.wait() if row is None else 0
         finally:
             alarm.cancel()
@@ -293,24 +293,26 @@ class _Worker:
         if late.is_set() and timeout_s is not None:
             return timed_out_row(job, timeout_s)
         self._complaints.seek(0)
-        said = self._complaints.read().strip().splitlines()
-        return failed_row(job, f"its process ended with {code}" + (f": {said[-1]}" if said else ""))
+        complaints = self._complaints.read().strip().splitlines()
+        return failed_row(
+            job, f"its process ended with {code}" + (f": {complaints[-1]}" if complaints else "")
+        )
 
-    def _told(self, job: Job, reports: SimpleQueue[Progress]) -> Row | None:
+    def _run_job(self, job: Job, reports: SimpleQueue[Progress]) -> Row | None:
         """Give the process the job and report what it says; the row, or None where it ends without one."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(BrokenPipeError):  # it has ended already: its exit code says how
             self._process.stdin.write(job.to_json() + "\n")
             self._process.stdin.flush()
         for line in self._process.stdout:
-            what = json.loads(line)
-            if "row" in what:
-                row: Row = what["row"]
+            message = json.loads(line)
+            if "row" in message:
+                row: Row = message["row"]
                 return row
-            if "notice" in what:
-                reports.put(Progress(job, notice=what["notice"]))
+            if "notice" in message:
+                reports.put(Progress(job, notice=message["notice"]))
             else:
-                reports.put(Progress(job, what["done"], what["expected"]))
+                reports.put(Progress(job, message["done"], message["expected"]))
         return None
 
     def terminate(self) -> None:

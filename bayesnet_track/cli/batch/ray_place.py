@@ -41,7 +41,7 @@ class RayTasks:
     needs: Needs = field(default_factory=Needs)
 
     def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
-        """As of a `Place`.
+        """Do the jobs as a `Place` does.
 
         Raises:
             PlacingError: Ray is not installed, there is no cluster, or one that was started here has no room.
@@ -95,7 +95,7 @@ def _row(job: Job, promised: object) -> Row:
 
 
 def _messages(reports: Any) -> list[tuple[int, dict[str, Any]]]:
-    """What tasks told since; nothing where the node that keeps it is gone: rows come another way."""
+    """Messages of tasks since the last call; none where their node is gone: rows come another way."""
     import ray
 
     try:
@@ -144,8 +144,8 @@ def _finished_task(line: str, timeout_s: float | None, reports: Any, number: int
 
     report = progress_of(tell, every_s)
 
-    def progress(done: int, expected: int | None) -> None:
-        report(done, expected)
+    def progress(frames: int, expected: int | None) -> None:
+        report(frames, expected)
         if timeout_s is not None and time.monotonic() > began + timeout_s:
             raise _Late
 

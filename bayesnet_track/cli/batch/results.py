@@ -141,7 +141,7 @@ class BatchProgress:
             lines = [f"{report.job.label}: {result(report.row)}{end}"]
         if self._redraws:
             self._clear()
-            running = [f"  {job.label}: {_so_far(one)}" for job, one in self._running.items()]
+            running = [f"  {job.label}: {_so_far(progress)}" for job, progress in self._running.items()]
             state = [self._state(), *running]
             self._drawn = len(state)
             lines += state
@@ -158,8 +158,8 @@ class BatchProgress:
         failed = f", {self._failed} failed" if self._failed else ""
         todo = self._all - self._over
         each_s = (self._ends[-1] - self._ends[0]) / max(len(self._ends) - 1, 1)
-        left = f", {clock(todo * each_s)} left" if todo and len(self._ends) > 1 else ""
-        return f"{self._over} of {self._all}{failed}{left}"
+        remaining = f", {clock(todo * each_s)} left" if todo and len(self._ends) > 1 else ""
+        return f"{self._over} of {self._all}{failed}{remaining}"
 
     def _write(self, lines: Iterable[str]) -> None:
         self._stream.write("".join(f"{line}\n" for line in lines))
@@ -170,29 +170,29 @@ class BatchProgress:
 
 
 class Silence:
-    """When each job was last heard of; says once of each silence that it lasts."""
+    """Time of the last report of each job; says once of each silence that it lasts."""
 
-    def __init__(self, now: float) -> None:
+    def __init__(self, time_s: float) -> None:
         self._heard: dict[Job, tuple[float, Progress]] = {}
-        self._last = now
+        self._last = time_s
         self._said: set[Job | None] = set()
 
-    def hear(self, report: Progress | None, now: float) -> list[str]:
+    def hear(self, report: Progress | None, time_s: float) -> list[str]:
         """Take a report, or that there was none; sentences about jobs not heard of for long."""
         if report is not None:
-            self._last = now
+            self._last = time_s
             self._said -= {report.job, None}
-            self._heard[report.job] = now, report
+            self._heard[report.job] = time_s, report
             if report.row is not None:
                 del self._heard[report.job]
         sentences = []
-        for job, (moment, last) in self._heard.items():
-            if now - moment >= QUIET_S and job not in self._said:
+        for job, (moment, progress) in self._heard.items():
+            if time_s - moment >= QUIET_S and job not in self._said:
                 self._said.add(job)
-                sentences.append(f"{job.label}: no progress for {now - moment:.0f} s, {_so_far(last)}")
-        if not self._heard and now - self._last >= QUIET_S and None not in self._said:
+                sentences.append(f"{job.label}: no progress for {time_s - moment:.0f} s, {_so_far(progress)}")
+        if not self._heard and time_s - self._last >= QUIET_S and None not in self._said:
             self._said.add(None)
-            sentences.append(f"no run has been heard of for {now - self._last:.0f} s")
+            sentences.append(f"no run has been heard of for {time_s - self._last:.0f} s")
         return sentences
 
 
@@ -202,13 +202,13 @@ def clock(seconds: float) -> str:
     >>> clock(80.2), clock(3 * 3600 + 62)
     ('1:20', '3:01:02')
     """
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, remainder = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+    return f"{hours}:{minutes:02}:{remainder:02}" if hours else f"{minutes}:{remainder:02}"
 
 
 def result(row: Row) -> str:
-    """What came of a job, in words."""
+    """The outcome of a job, in words."""
     if row["status"] != FINISHED:
         return f"{row['status']}: {row['reason']}"
     parts = [f"{row['frames']} frames"]
@@ -341,8 +341,8 @@ class Results:
             row = self._rows.get(job) or self._earlier.get(key)
             if row is not None:
                 table[key] = row
-        others = {key: row for key, row in self._earlier.items() if key not in table}
-        write_atomically(self._path, csv_text((table | others).values()).encode("utf-8"))
+        earlier_rows = {key: row for key, row in self._earlier.items() if key not in table}
+        write_atomically(self._path, csv_text((table | earlier_rows).values()).encode("utf-8"))
         spent = time.monotonic() - began
         self._due, self._is_changed = time.monotonic() + max(EVERY_S, SHARE * spent), False
 

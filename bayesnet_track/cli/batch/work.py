@@ -70,15 +70,15 @@ def do(job: Job, progress: Progressing) -> Row:
     summary = Summary()
     settle_broken(RunDirectory(Path(job.out)))
     try:
-        now = standing(job.out)
+        run_state = standing(job.out)
     except RecipeError:
-        now = None
-    if now is not None:
+        run_state = None
+    if run_state is not None:
         _check_same(job, Recipe.read(job.out))
-    if now is not None and not now.is_finished:
+    if run_state is not None and not run_state.is_finished:
         for _ in resume(job.out, summary=summary):
             progress(summary.frames, None)
-    elif now is None:
+    elif run_state is None:
         on_resize: OnResize = "rescale" if job.on_resize == "rescale" else "stop"
         with open_source(
             job.video.source, end=job.end, on_resize=on_resize, value_range=job.value_range
@@ -142,8 +142,8 @@ def row_of(job: Job) -> Row:
         "reason": "" if is_complete else "no end" if ended is None else ended.reason,
     }
     if job.video.truth is not None and metrics:
-        found = score_run(job.out, job.video.truth, metrics[0].target, job.truth_format)
-        row |= {name: getattr(found, name) for name in ROW if name in _SCORES}
+        scores = score_run(job.out, job.video.truth, metrics[0].target, job.truth_format)
+        row |= {name: getattr(scores, name) for name in ROW if name in _SCORES}
     return {name: round(value, 6) if isinstance(value, float) else value for name, value in row.items()}
 
 
@@ -169,10 +169,12 @@ def _check_same(job: Job, recipe: Recipe) -> None:
 
     origin = recipe.origin
     source = origin.absolute.get(origin.text, origin.text)
-    known = job.video.source in (source, origin.text) or str(Path(job.video.source).absolute()) == source
+    is_same_source = (
+        job.video.source in (source, origin.text) or str(Path(job.video.source).absolute()) == source
+    )
     was_and_is: dict[str, tuple[object, object]] = {
         "graph": (recipe.graph_sha256[:12], graph_sha256(load_graph(job.graph).text)[:12]),
-        "source": (source, source if known else job.video.source),
+        "source": (source, source if is_same_source else job.video.source),
         "start": (recipe.starts, tuple(_starts(job) or ())),
         "seed": (recipe.seed, job.seed),
         "end": (origin.end, job.end),
@@ -180,12 +182,14 @@ def _check_same(job: Job, recipe: Recipe) -> None:
         "max_side": (recipe.max_side, job.max_side),
         "range": (_range_text(origin.value_range), _range_text(job.value_range)),
     }
-    others = [
-        f"{name} {_word(was)}, now {_word(now)}" for name, (was, now) in was_and_is.items() if was != now
+    changes = [
+        f"{name} {_word(was)}, now {_word(requested)}"
+        for name, (was, requested) in was_and_is.items()
+        if was != requested
     ]
-    if others:
+    if changes:
         raise BatchError(
-            f"{job.out}: the run there was asked for otherwise: {'; '.join(others)}; "
+            f"{job.out}: the run there was asked for otherwise: {'; '.join(changes)}; "
             "give another --out, or remove it"
         )
 
@@ -196,7 +200,7 @@ def _range_text(value_range: tuple[float, float] | None) -> str | None:
 
 def _word(value: object) -> str:
     if isinstance(value, tuple):
-        return " ".join(",".join(f"{part:g}" for part in one.box) for one in value) or "none"
+        return " ".join(",".join(f"{part:g}" for part in start.box) for start in value) or "none"
     return "none" if value is None else str(value)
 
 
@@ -228,8 +232,8 @@ def main() -> int:
     answers = os.dup(1)
     os.dup2(2, 1)  # what cues print must not stand among the answers
 
-    def send(what: object) -> None:
-        os.write(answers, json.dumps(what).encode() + b"\n")
+    def send(message: object) -> None:
+        os.write(answers, json.dumps(message).encode() + b"\n")
 
     for line in sys.stdin:
         job = Job.from_json(line)
@@ -245,12 +249,12 @@ def main() -> int:
 
 def progress_of(send: Callable[[dict[str, Any]], None], every_s: float = EVERY_S) -> Progressing:
     """A function that sends the progress of a job every `every_s` seconds at most."""
-    shown = 0.0
+    sent_s = 0.0
 
-    def progress(done: int, expected: int | None) -> None:
-        nonlocal shown
-        if time.monotonic() >= shown + every_s:
-            shown = time.monotonic()
-            send({"done": done, "expected": expected})
+    def progress(frames: int, expected: int | None) -> None:
+        nonlocal sent_s
+        if time.monotonic() >= sent_s + every_s:
+            sent_s = time.monotonic()
+            send({"done": frames, "expected": expected})
 
     return progress

@@ -76,12 +76,12 @@ def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
     from bayesnet_track.sources.paths import image_names
     from bayesnet_track.sources.sources import open_source
 
-    kept = None
+    stored = None
     if (folder / NAME).is_file() and (folder / NAME).stat().st_size:
-        kept = read_answers(folder / NAME).header
-    graph = load_graph(options.graph or (kept.graph_name if kept else "general"))
+        stored = read_answers(folder / NAME).header
+    graph = load_graph(options.graph or (stored.graph_name if stored else "general"))
     _warn_of_score(graph)
-    value_range = options.value_range or (kept.value_range if kept else None)
+    value_range = options.value_range or (stored.value_range if stored else None)
     with open_source(options.video, value_range=value_range) as source:
         store = FrameStore.of(source, options.video, source.frame_interval_s, _progress)
     run_silently(lambda: sys.stderr.write("\n"))
@@ -89,7 +89,7 @@ def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
     if not is_whole:
         complain(f"{options.video}: {source.end_reason.replace('_', ' ')} after {len(store)} frames")
     with store:
-        header = make_header(options, graph, store, kept)
+        header = make_header(options, graph, store, stored)
         images = image_names(options.video, len(store))
         session, difference = open_session(folder, header)
         if difference:
@@ -108,50 +108,49 @@ def _work(options: argparse.Namespace, folder: Path) -> tuple[Session, bool]:
 
 
 def make_header(
-    options: argparse.Namespace, graph: CheckedGraph, store: FrameStore, kept: Header | None
+    options: argparse.Namespace, graph: CheckedGraph, store: FrameStore, stored: Header | None
 ) -> Header:
-    """What the session is of: as kept, unless an option says otherwise."""
+    """The header of the session: as stored, unless an option says otherwise."""
     from importlib.metadata import version
 
     from bayesnet_track.graph.text.write import graph_sha256, write_graph
     from bayesnet_track.runtime.annotation.answers import Header
     from bayesnet_track.runtime.annotation.asking import PATIENCE, THRESHOLD
 
-    def chosen(name: str, usual: Any) -> Any:
-        given = getattr(options, name)
-        return given if given is not None else usual if kept is None else getattr(kept, name)
+    def value_of(name: str, default: Any) -> Any:
+        value = getattr(options, name)
+        return value if value is not None else default if stored is None else getattr(stored, name)
 
     return Header(
         store.about(),
-        options.graph or (kept.graph_name if kept else "general"),
+        options.graph or (stored.graph_name if stored else "general"),
         graph_sha256(write_graph(graph.spec)),
-        chosen("seed", 0),
-        chosen("threshold", THRESHOLD),
-        chosen("patience", PATIENCE),
+        value_of("seed", 0),
+        value_of("threshold", THRESHOLD),
+        value_of("patience", PATIENCE),
         version("bayesnet-track"),
-        chosen("max_side", None),
-        chosen("value_range", None),
+        value_of("max_side", None),
+        value_of("value_range", None),
     )
 
 
 def describe(folder: Path, session: Session) -> str:
-    """How far the annotations are, in a line each of frames and of questions."""
+    """Progress of the annotations, in a line each of frames and of questions."""
     from bayesnet_track.journal.text.wording import plural
 
     marks = session.annotations.marks
     counts = dict.fromkeys(COUNTED, 0)
-    for own in marks.values():
-        for mark in own.values():
+    for target_marks in marks.values():
+        for mark in target_marks.values():
             counts[mark.how] += 1
     missing = len(marks) * session.frames - sum(counts.values())
-    said = ", ".join(f"{count} {how}" for how, count in counts.items() if count)
-    text = (
-        f"{folder}: {plural(len(marks), 'target')}, {plural(session.frames, 'frame')}: {said or 'no box yet'}"
-    )
+    counted = ", ".join(f"{count} {how}" for how, count in counts.items() if count)
+    text = f"{folder}: {plural(len(marks), 'target')}, {plural(session.frames, 'frame')}: "
+    text += counted or "no box yet"
     text += f", {missing} not known yet" if missing else ""
-    for one in session.annotations.questions:
-        text += f"\nopen: {one.target}, frame {one.frame}: {one.reason}"
-    return text if session.annotations.questions or missing or not said else f"{text}; nothing to ask"
+    for question in session.annotations.questions:
+        text += f"\nopen: {question.target}, frame {question.frame}: {question.reason}"
+    return text if session.annotations.questions or missing or not counted else f"{text}; nothing to ask"
 
 
 def _show(options: argparse.Namespace, session: Session, store: FrameStore, runs: TrackerRuns) -> bool:

@@ -55,9 +55,9 @@ def annotate_identities(options: argparse.Namespace) -> int:
     from bayesnet_track.runtime.recording.run_reader import open_run
     from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 
-    given = [name for name in OF_VIDEOS if getattr(options, name) not in (None, [])]
-    if given:
-        raise UsageError(f"{_option(given[0])}: of a video to label; --identities looks at a run")
+    misplaced = [name for name in OF_VIDEOS if getattr(options, name) not in (None, [])]
+    if misplaced:
+        raise UsageError(f"{_option(misplaced[0])}: of a video to label; --identities looks at a run")
     try:
         run = open_run(options.identities)
         if is_locked(run.directory):
@@ -111,7 +111,7 @@ def _show(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: Lin
     from bayesnet_track.runtime.recording.run_reader import pictures_of
 
     frames = max((int(path.frame[-1]) for path in queue.tracklets.paths), default=0) + 1
-    about = {
+    header = {
         "name": run.name,
         "width": run.started.width,
         "height": run.started.height,
@@ -124,7 +124,7 @@ def _show(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: Lin
         pictures = Pictures(() if images is None else images.images)
     address = (options.view_host, options.port)
     try:
-        desk = IdentityServer(queue, file, about, options.most, pictures, address)
+        desk = IdentityServer(queue, file, header, options.most, pictures, address)
     except OSError as error:
         raise UsageError(f"--port: {options.view_host}: {words(error)}; choose another, or none") from error
     with desk:
@@ -161,8 +161,8 @@ def _keys(question: Question) -> str:
     return f"{keep}{swap}n new, name, x skip, u undo, q"
 
 
-def describe_queue(folder: Path, queue: IdentityQueue, most: int, left_out: int) -> str:
-    """How many answers there are and what they changed, and the least certain decisions, a line each."""
+def describe_queue(folder: Path, queue: IdentityQueue, limit: int, left_out: int) -> str:
+    """The number of answers and of changes by them, and the least certain decisions, a line each."""
     from bayesnet_track.journal.text.wording import plural
 
     questions = queue.questions()
@@ -172,7 +172,7 @@ def describe_queue(folder: Path, queue: IdentityQueue, most: int, left_out: int)
     )
     if left_out:
         text += f"; {plural(left_out, 'line')} of tracks.txt left out: two had one identity there"
-    return "\n".join([text, *(one.describe() for one in questions[:most])])
+    return "\n".join([text, *(question.describe() for question in questions[:limit])])
 
 
 def _option(name: str) -> str:

@@ -55,18 +55,18 @@ def batch(options: argparse.Namespace) -> int:
                 f"give at most {count} parts"
             )
     if not has_births(graph):
-        lone = next((one for one in videos if one.init is None and one.init_from is None), None)
+        lone = next((video for video in videos if video.init is None and video.init_from is None), None)
         if lone is not None:
             raise UsageError(
                 f"{lone.name}: no start box: give --init-from PATTERN, --init, or init in the list"
             )
-    out = Path(options.out)
-    with writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-    jobs = _jobs(options, videos, out)
-    table = out / (TABLE if part is None else f"results.{part.label}.csv")
+    folder = Path(options.out)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    jobs = _jobs(options, videos, folder)
+    table = folder / (TABLE if part is None else f"results.{part.label}.csv")
     with users_mistake():
-        ledger = Ledger(out, "whole" if part is None else part.label, graph_sha256(graph.text))
+        ledger = Ledger(folder, "whole" if part is None else part.label, graph_sha256(graph.text))
         results = Results(table, jobs, ledger)
     todo = results.todo
     finished = len(jobs) - len(todo)
@@ -108,7 +108,7 @@ def _say_end(options: argparse.Namespace, results: Results, table: Path) -> int:
     overview = results.write_overview(f"Batch of {options.graph}")
     summary = summary_of([row for row in rows if row["status"] == FINISHED]) if options.seeds > 1 else {}
     if options.json:
-        measures = {name: asdict(one) for name, one in summary.items()}
+        measures = {name: asdict(spread) for name, spread in summary.items()}
         report = {
             "out": str(table.parent),
             "runs": rows,
@@ -147,7 +147,7 @@ def _amount(text: str) -> int:
 
 
 def _place(options: argparse.Namespace, jobs: int) -> Place:
-    """Where the runs are; raises UsageError where the limit on open files allows none."""
+    """The place of the runs; raises UsageError where the limit on open files allows none."""
     from bayesnet_track.cli.batch.places import Needs
 
     needs = Needs(options.cpus, options.memory)
@@ -159,13 +159,13 @@ def _place(options: argparse.Namespace, jobs: int) -> Place:
 
     with users_mistake():
         room = needs.fitting_here()
-    wanted = min(options.jobs or room, jobs)
-    most = most_runs()
-    if most == 0:
+    requested = min(options.jobs or room, jobs)
+    limit = most_runs()
+    if limit == 0:
         raise UsageError(f"too few files may be open to start a run; {MANY_FILES}")
-    if most is not None and most < wanted:
-        complain(f"no more than {most} runs at a time, not {wanted}: {MANY_FILES}")
-    return Processes(wanted if most is None else min(wanted, most), options.timeout)
+    if limit is not None and limit < requested:
+        complain(f"no more than {limit} runs at a time, not {requested}: {MANY_FILES}")
+    return Processes(requested if limit is None else min(requested, limit), options.timeout)
 
 
 def _videos(options: argparse.Namespace) -> list[Video]:
@@ -182,24 +182,24 @@ def _videos(options: argparse.Namespace) -> list[Video]:
         else:
             videos = videos_of(options.source, options.init_from, options.truth)
     if options.init is not None:
-        videos = [replace(one, init=options.init) for one in videos]
-    for one in videos:
-        if one.init is not None:
-            parse_start(one.init)
+        videos = [replace(video, init=options.init) for video in videos]
+    for video in videos:
+        if video.init is not None:
+            parse_start(video.init)
     return videos
 
 
-def _jobs(options: argparse.Namespace, videos: list[Video], out: Path) -> list[Job]:
+def _jobs(options: argparse.Namespace, videos: list[Video], folder: Path) -> list[Job]:
     from bayesnet_track.cli.batch.jobs import Job
 
-    plugins = tuple(name for given in options.allow_plugins for name in given)
+    plugins = tuple(name for group in options.allow_plugins for name in group)
     files = tuple(str(Path(file).absolute()) for file in options.cue_file)
     return [
         Job(
             options.graph,
             video,
             seed,
-            str(out / (video.name if options.seeds == 1 else f"{video.name}-seed{seed}")),
+            str(folder / (video.name if options.seeds == 1 else f"{video.name}-seed{seed}")),
             options.end,
             options.on_resize,
             plugins,

@@ -28,13 +28,13 @@ def calibrate_stereo(options: argparse.Namespace) -> int:
     from bayesnet_track.vision.calibration import calibrate as fit
     from bayesnet_track.vision.calibration import write_calibration
 
-    board, out = options.board, Path(options.out)
-    check_free(out, options.overwrite)
+    board, path = options.board, Path(options.out)
+    check_free(path, options.overwrite)
     left, right = (read_all(text, options.value_range) for text in (options.left, options.right))
     with users_mistake():
         fitted = fit(left, right, board, options.square_m)
-    with writing(out):
-        write_calibration(out, fitted.cameras)
+    with writing(path):
+        write_calibration(path, fitted.cameras)
     x, y, z = (-1000 * value for value in fitted.cameras.translation)
     unused = ", ".join(str(n) for n in range(len(left)) if n not in fitted.used)
     say(f"board whole in {len(fitted.used)} of {len(left)} pairs" + (f", not in {unused}" if unused else ""))
@@ -44,7 +44,7 @@ def calibrate_stereo(options: argparse.Namespace) -> int:
     )
     say(f"rows after rectification differ by {fitted.epipolar_px:.3f} px")
     say(f"right camera at {x:.1f}, {y:.1f}, {z:.1f} mm of the left one (x right, y down, z forward)")
-    say(f"wrote {out}")
+    say(f"wrote {path}")
     return OK
 
 
@@ -54,10 +54,10 @@ def parse_board(text: str) -> tuple[int, int]:
     Raises:
         UsageError: it is something else.
     """
-    across, _, down = text.partition("x")
-    if not (across.isascii() and across.isdigit() and down.isascii() and down.isdigit()):
+    columns, _, rows = text.partition("x")
+    if not (columns.isascii() and columns.isdigit() and rows.isascii() and rows.isdigit()):
         raise UsageError(f"--board {text!r}: two numbers such as 9x6 are needed, the inner corners")
-    board = int(across), int(down)
+    board = int(columns), int(rows)
     if min(board) < 3 or max(board) > 100:
         raise UsageError(f"--board {text!r}: from 3 to 100 inner corners each way are allowed")
     return board

@@ -23,20 +23,20 @@ def calibrate_camera(options: argparse.Namespace) -> int:
     from bayesnet_track.vision.calibration import find_corners
     from bayesnet_track.vision.camera_calibration import fit_lens, write_camera
 
-    board, out = options.board, Path(options.out)
-    check_free(out, options.overwrite)
-    seen, looked, size = [], 0, (0, 0)
+    board, path = options.board, Path(options.out)
+    check_free(path, options.overwrite)
+    detected, looked, size = [], 0, (0, 0)
     for image in _images(options.source, options.value_range, options.stride):
         looked, size = looked + 1, (image.shape[1], image.shape[0])
         corners = find_corners(image, board)
         if corners is not None:
-            seen.append(corners)
+            detected.append(corners)
     with users_mistake():
-        fit = fit_lens(seen, size, board, options.square_m)
-    with writing(out):
-        write_camera(out, fit.intrinsics, {"rms_px": fit.rms_px})
+        fit = fit_lens(detected, size, board, options.square_m)
+    with writing(path):
+        write_camera(path, fit.intrinsics, {"rms_px": fit.rms_px})
     matrix, distortion = fit.intrinsics.matrix, fit.intrinsics.distortion
-    say(f"board whole in {len(seen)} of {looked} frames; {fit.views} of them used")
+    say(f"board whole in {len(detected)} of {looked} frames; {fit.views} of them used")
     say(f"reprojection rms: {fit.rms_px:.3f} px, of the worst frame {fit.worst_px:.3f} px")
     say(
         f"focal length {matrix[0, 0]:.1f}, {matrix[1, 1]:.1f} px (sd {fit.focal_sd_px:.1f}), principal point "
@@ -52,7 +52,7 @@ def calibrate_camera(options: argparse.Namespace) -> int:
         complain(
             "the rms is above 1 px: is the board flat, are frames blurred, does the camera change its focus?"
         )
-    say(f"wrote {out}; next: `bayesnet-track calibrate ground … --intrinsics {out}`")
+    say(f"wrote {path}; next: `bayesnet-track calibrate ground … --intrinsics {path}`")
     return OK
 
 
@@ -61,8 +61,8 @@ def calibrate_ground(options: argparse.Namespace) -> int:
     from bayesnet_track.observation.calibrations import read_intrinsics
     from bayesnet_track.vision.camera_calibration import fit_ground, write_camera
 
-    out = Path(options.out)
-    check_free(out, options.overwrite)
+    path = Path(options.out)
+    check_free(path, options.overwrite)
     if bool(options.points) == bool(options.point):
         raise UsageError("give the points either by --points FILE or by --point, four or more of them")
     image = read_frame(options.source, options.frame, options.value_range)
@@ -74,11 +74,11 @@ def calibrate_ground(options: argparse.Namespace) -> int:
         fit = fit_ground(numbers[:, :2], numbers[:, 2:], size, lens)
     _say_fit(fit, numbers)
     rms = math.sqrt(float((fit.residuals_px**2).mean()))
-    with writing(out):
-        write_camera(out, fit.view, {"rms_px": rms})
+    with writing(path):
+        write_camera(path, fit.view, {"rms_px": rms})
     if lens is None:
         _say_heights(fit)
-    say(f"wrote {out}")
+    say(f"wrote {path}")
     return OK
 
 
@@ -87,10 +87,10 @@ def _say_fit(fit: GroundFit, numbers: Floats) -> None:
     from bayesnet_track.numerics.cameras import Camera
 
     say("point     px      py        x m      y m    off px    off m")
-    for n, ((px, py, x, y), off, off_m) in enumerate(
+    for n, ((px, py, x, y), error_px, off_m) in enumerate(
         zip(numbers, fit.residuals_px, fit.residuals_m, strict=True), 1
     ):
-        say(f"{n:5} {px:7.1f} {py:7.1f} {x:10.3f} {y:8.3f} {off:9.2f} {off_m:8.3f}")
+        say(f"{n:5} {px:7.1f} {py:7.1f} {x:10.3f} {y:8.3f} {error_px:9.2f} {off_m:8.3f}")
     rms = math.sqrt(float((fit.residuals_px**2).mean()))
     say(f"rms {rms:.2f} px, {math.sqrt(float((fit.residuals_m**2).mean())):.3f} m on the ground")
     if isinstance(fit.view, Camera):
@@ -128,11 +128,11 @@ def calibrate_poses(options: argparse.Namespace) -> int:
     from bayesnet_track.observation.calibrations import read_intrinsics
     from bayesnet_track.vision.camera_calibration import camera_entries, fit_poses
 
-    board, out = options.board, Path(options.out)
-    check_free(out, options.overwrite)
-    if out.suffix.lower() != ".json":
+    board, path = options.board, Path(options.out)
+    check_free(path, options.overwrite)
+    if path.suffix.lower() != ".json":
         raise UsageError(
-            f"--out {out}: the file of several cameras is JSON; give it a name such as {out.stem}.json"
+            f"--out {path}: the file of several cameras is JSON; give it a name such as {path.stem}.json"
         )
     sources, files = (dict(_named(texts)) for texts in (options.source, options.intrinsics))
     if sources.keys() != files.keys() or len(sources) < 2:
@@ -148,15 +148,15 @@ def calibrate_poses(options: argparse.Namespace) -> int:
         name: {key: getattr(value, "tolist", lambda value=value: value)() for key, value in parts.items()}
         for name, parts in ((name, camera_entries(camera)) for name, camera in fit.cameras.items())
     }
-    with writing(out):
-        out.write_text(json.dumps({"unit": "m", "cameras": entries}, indent=1) + "\n", encoding="utf-8")
+    with writing(path):
+        path.write_text(json.dumps({"unit": "m", "cameras": entries}, indent=1) + "\n", encoding="utf-8")
     for name, camera in fit.cameras.items():
         x, y, z = camera.centre
         say(
             f"{name}: rms {fit.residuals_px[name]:.3f} px; at x {x:.2f}, y {y:.2f} m, {z:.2f} m above the "
             "board"
         )
-    say(f"wrote {out}: the ground is the board's plane, the origin its first corner at a dark outer square")
+    say(f"wrote {path}: the ground is the board's plane, the origin its first corner at a dark outer square")
     return OK
 
 
@@ -219,9 +219,9 @@ def read_points(path: Path) -> Floats:
 
 
 def _check_inside(pixels: Floats, size: tuple[int, int]) -> None:
-    outside = ((pixels < -0.5) | (pixels > [size[0] - 0.5, size[1] - 0.5])).any(axis=1)
-    if outside.any():
-        number = int(outside.argmax())
+    is_outside = ((pixels < -0.5) | (pixels > [size[0] - 0.5, size[1] - 0.5])).any(axis=1)
+    if is_outside.any():
+        number = int(is_outside.argmax())
         px, py = pixels[number]
         raise ValueError(
             f"point {number + 1} at {px:g}, {py:g} px is outside the image of {size[0]}x{size[1]}; pixels "

@@ -43,11 +43,11 @@ def compare(options: argparse.Namespace) -> int:
 
     check_page(options)
     first, second = open_run(options.first, complain), open_run(options.second, complain)
-    apart = sources_apart(first, second)
-    if apart and not options.force:
+    differences = sources_apart(first, second)
+    if differences and not options.force:
         raise UsageError(
-            f"{first.name} and {second.name} are runs of different sources: {'; '.join(apart)}; frames of "
-            "the same number do not show the same image (--force compares them all the same)"
+            f"{first.name} and {second.name} are runs of different sources: {'; '.join(differences)}; frames "
+            "of the same number do not show the same image (--force compares them all the same)"
         )
     return show_comparison(first, second, options)
 
@@ -59,20 +59,20 @@ def check_page(options: argparse.Namespace) -> None:
 
 
 def sources_apart(first: Run, second: Run) -> list[str]:
-    """What shows that two runs did not see the same pictures; empty when nothing does."""
+    """Signs that two runs did not see the same pictures; empty without any."""
     import numpy as np
 
     from bayesnet_track.journal.blocks import Blocks
 
     a, b = first.started, second.started
-    said = _origins_apart(first, second)
+    differences = _origins_apart(first, second)
     if (a.width, a.height, a.has_color) != (b.width, b.height, b.has_color):
-        sizes = [f"{one.width}x{one.height}{'' if one.has_color else ' gray'}" for one in (a, b)]
-        said.append(" and ".join(sizes))
+        sizes = [f"{event.width}x{event.height}{'' if event.has_color else ' gray'}" for event in (a, b)]
+        differences.append(" and ".join(sizes))
     frames = [Blocks(run.metrics, ()).all_frames for run in (first, second)]
-    if not said and not np.isin(frames[0], frames[1]).any():
-        said.append("they have no frame in common")
-    return said
+    if not differences and not np.isin(frames[0], frames[1]).any():
+        differences.append("they have no frame in common")
+    return differences
 
 
 def _origins_apart(first: Run, second: Run) -> list[str]:
@@ -86,7 +86,7 @@ def _origins_apart(first: Run, second: Run) -> list[str]:
         same = os.path.normpath(by_name[0]) == os.path.normpath(by_name[1])
         return [] if same else [" and ".join(by_name)]
     if a.kind == b.kind == "scene":
-        scenes = [f"{one.description} of seed {one.seed}" for one in (a, b)]
+        scenes = [f"{origin.description} of seed {origin.seed}" for origin in (a, b)]
         return [] if scenes[0] == scenes[1] else [" and ".join(scenes)]
     if a.kind != b.kind:
         return [f"{by_name[0]} ({a.kind}) and {by_name[1]} ({b.kind})"]
@@ -108,7 +108,7 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     scores = _scores(first, second, compared, options)
     compared = replace(compared, totals=(*compared.totals, *_evidence(first, second, compared), *scores))
     settings = settings_apart(first.started, second.started)
-    settings += [str(one) for one in differences(first.graph_text, second.graph_text)]
+    settings += [str(difference) for difference in differences(first.graph_text, second.graph_text)]
     if options.html is not None:
         from bayesnet_track.view.compare_page import compare_page
 
@@ -118,9 +118,9 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
     if options.json:
         say(_as_json(first, second, compared, settings))
     else:
-        shown = 2**62 if options.all else SHOWN_MOMENTS
+        limit = 2**62 if options.all else SHOWN_MOMENTS
         hint = "; --all lists them all, --html draws them"
-        say(compare_text(first, second, compared, settings, shown, hint))
+        say(compare_text(first, second, compared, settings, limit, hint))
     if options.html is not None:
         complain(f"wrote {options.html}")
     return OK
@@ -135,15 +135,15 @@ def _pictures(first: Run, second: Run, compared: Comparison) -> list[str]:
     if not telling:
         return []
     span = telling[0].frame, telling[-1].frame
-    with pictures_of(first.directory, first.started, *span) as (found, missing):
-        if found is None:
+    with pictures_of(first.directory, first.started, *span) as (pictures, missing):
+        if pictures is None:
             complain(f"{first.name}: the page has no pictures: {missing}")
             return []
-        return list(draw_pictures(found.images, telling, first, second))
+        return list(draw_pictures(pictures.images, telling, first, second))
 
 
 def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
-    """Which graph explains the video better, where both have the same agents.
+    """Totals by which graph explains the video better, where both have the same agents.
 
     Agents that measure a density are the same with other errors, too; beside it stands how well each of the
     sensors that both have was predicted.
@@ -162,14 +162,14 @@ def _evidence(first: Run, second: Run, compared: Comparison) -> list[Total]:
     return [*([compared.evidence] if agents[0] == agents[1] else []), *compared.predictive]
 
 
-def _evidence_of(chosen: AgentChoice) -> tuple[str, Mapping[str, Any]]:
+def _evidence_of(agent: AgentChoice) -> tuple[str, Mapping[str, Any]]:
     """The cue and its parameters, without those that its density depends on."""
     from bayesnet_track.observation.cue import installed_cues
 
-    declared = installed_cues([chosen.cue]).get(chosen.cue)
+    declared = installed_cues([agent.cue]).get(agent.cue)
     is_density = declared is not None and declared.measures and not declared.reads_detection
     left_out = {"sd", "floor"} if is_density else set()
-    return chosen.cue, {key: value for key, value in chosen.parameters.items() if key not in left_out}
+    return agent.cue, {key: value for key, value in agent.parameters.items() if key not in left_out}
 
 
 def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Namespace) -> list[Total]:
@@ -178,9 +178,9 @@ def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Nam
     from bayesnet_track.evaluate.truth import is_mot
     from bayesnet_track.journal.compare_measures import Total
 
-    given, form = options.truth, options.truth_format
-    truth = Path(given) if given is not None else first.directory.truth
-    if given is None and not truth.is_file():
+    truth_path, form = options.truth, options.truth_format
+    truth = Path(truth_path) if truth_path is not None else first.directory.truth
+    if truth_path is None and not truth.is_file():
         return []
     runs = (first, second)
     with users_mistake():
@@ -195,15 +195,17 @@ def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Nam
         if not compared.pairs:
             return []
         pair = compared.pairs[0]
-        one = [score_run(run.directory.path, truth, name, form) for run, name in zip(runs, pair, strict=True)]
+        scores = [
+            score_run(run.directory.path, truth, name, form) for run, name in zip(runs, pair, strict=True)
+        ]
     whose = f", target {pair[0]}" if len(first.targets) > 1 else ""
-    wrong, doubted = zip(*(run_score.misjudged for run_score in one), strict=True)
+    wrong, doubted = zip(*(run_score.misjudged for run_score in scores), strict=True)
     return [
-        Total(f"AUC{whose}", one[0].auc, one[1].auc, False),
-        Total(f"AUC, lost counts as 0{whose}", one[0].auc_strict, one[1].auc_strict, False),
-        Total(f"within 20 px{whose}", one[0].precision20, one[1].precision20, False),
-        Total(f"mean IoU{whose}", one[0].mean_iou, one[1].mean_iou, False),
-        Total(f"times off target{whose}", one[0].lost_episodes, one[1].lost_episodes, True),
+        Total(f"AUC{whose}", scores[0].auc, scores[1].auc, False),
+        Total(f"AUC, lost counts as 0{whose}", scores[0].auc_strict, scores[1].auc_strict, False),
+        Total(f"within 20 px{whose}", scores[0].precision20, scores[1].precision20, False),
+        Total(f"mean IoU{whose}", scores[0].mean_iou, scores[1].mean_iou, False),
+        Total(f"times off target{whose}", scores[0].lost_episodes, scores[1].lost_episodes, True),
         Total(f"frames `tracking` at an IoU up to 0.5{whose}", wrong[0], wrong[1], True),
         Total(f"frames not `tracking` at an IoU above 0.5{whose}", doubted[0], doubted[1], True),
     ]
@@ -235,7 +237,7 @@ def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str])
                 for moment in compared.moments
             ],
             "last_frames": compared.last_frames,
-            "totals": {one.name: (one.first, one.second) for one in compared.totals},
+            "totals": {total.name: (total.first, total.second) for total in compared.totals},
             "distances": [
                 {
                     "pair": pair,
@@ -260,7 +262,7 @@ def add_compare(commands: argparse._SubParsersAction[Any]) -> None:
 
 
 def add_comparison_options(parser: argparse.ArgumentParser) -> None:
-    """How a comparison is told."""
+    """Add the options of how a comparison is printed."""
     parser.add_argument("--html", metavar="FILE", help="also write the comparison as one offline page")
     parser.add_argument(
         "--truth", metavar="FILE", help="ground truth to score both with (default: truth.txt of the first)"
@@ -284,13 +286,13 @@ def what_if(options: argparse.Namespace) -> int:
     masks = recipe.read_masks()
     cameras = recipe.read_calibrations(first.spec)
     graph = set_values(first.graph_text, options.set, not options.no_adaptation, masks, cameras)
-    out = _folder(options)
-    if out.resolve() == first.directory.path.resolve():
-        raise UsageError(f"--out {out}: that is the run itself; give another folder")
-    code = _track_again(options, first, recipe, graph, out)
+    folder = _folder(options)
+    if folder.resolve() == first.directory.path.resolve():
+        raise UsageError(f"--out {folder}: that is the run itself; give another folder")
+    code = _track_again(options, first, recipe, graph, folder)
     if code not in (OK, INCOMPLETE):
         return code
-    second = RunDirectory.open(out)
+    second = RunDirectory.open(folder)
     if first.directory.truth.is_file() and not second.truth.exists():
         try:
             shutil.copyfile(first.directory.truth, second.truth)
@@ -298,7 +300,7 @@ def what_if(options: argparse.Namespace) -> int:
         except OSError as error:
             complain(f"{second.truth}: cannot write: {error.strerror}")
             return BAD_OUTPUT
-    return show_comparison(first, open_run(out, complain), options) or code
+    return show_comparison(first, open_run(folder, complain), options) or code
 
 
 def earlier_run(path: str) -> tuple[Run, Recipe]:
@@ -327,22 +329,22 @@ def check_unchanged(path: str, recipe: Recipe, is_forced: bool = False) -> None:
     with users_mistake():
         changes = recipe.origin.changes()
     if changes and not is_forced:
-        changed = "; ".join(changes)
-        raise UsageError(f"{path}: the source has changed: {changed} (--force goes on all the same)")
+        listed = "; ".join(changes)
+        raise UsageError(f"{path}: the source has changed: {listed} (--force goes on all the same)")
     if not is_forced:
         check_cues(recipe, ())
         check_files(recipe)
 
 
 def _folder(options: argparse.Namespace) -> Path:
-    """Where to write: --out, else the first of RUN-what-if, RUN-what-if-2, ... that is free."""
+    """The folder to write to: --out, else the first of RUN-what-if, RUN-what-if-2, ... that is free."""
     if options.out:
         return Path(options.out)
     return free_folder(f"{str(options.run).rstrip('/')}-what-if", options.overwrite)
 
 
 def _track_again(
-    options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, out: Path
+    options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, folder: Path
 ) -> int:
     """The run of a recipe with another graph or seed; what came from outside then comes again."""
     from bayesnet_track.cli.following import Narrator, follow, users_start
@@ -353,14 +355,14 @@ def _track_again(
     with recipe.opened() as source:
         with users_start():
             results = repeat(
-                first, recipe, source, graph, out, seed=seed, overwrite=options.overwrite, sinks=sinks,
+                first, recipe, source, graph, folder, seed=seed, overwrite=options.overwrite, sinks=sinks,
                 summary=summary,
             )  # fmt: skip
-        return follow(options, results, summary, source.expected_frames, out)
+        return follow(options, results, summary, source.expected_frames, folder)
 
 
 def repeat(
-    first: Run, recipe: Recipe, source: Any, graph: CheckedGraph, out: Path, **settings: Any
+    first: Run, recipe: Recipe, source: Any, graph: CheckedGraph, folder: Path, **settings: Any
 ) -> Generator[Result, None, None]:
     """Track the source of an earlier run with another graph; `settings` are those of `track`."""
     from bayesnet_track.runtime.session import track
@@ -370,7 +372,7 @@ def repeat(
         graph,
         source,
         list(recipe.starts) or None,
-        out=out,
+        out=folder,
         detections=detections.get("") or detections or None,
         inputs=first.directory.inputs if first.directory.inputs.is_file() else None,
         max_side=recipe.max_side,

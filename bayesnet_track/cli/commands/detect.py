@@ -103,7 +103,7 @@ def _detect_all(
     file: LineFile | None = None
     video: VideoWriter | None = None
     previous: Frame | None = None
-    frames = found = 0
+    frames = count = 0
     # Where detections are printed, a line that is redrawn would stand among them.
     progress = Progress(sys.stderr, source.expected_frames, sys.stderr.isatty() and options.out is not None)
     for item in source:
@@ -118,19 +118,19 @@ def _detect_all(
             if options.save_video is not None:
                 size = (item.width, item.height, interval_of(source))
                 video = stack.enter_context(VideoWriter(Path(options.save_video), *size))
-        seen, state = detector.detect(pair, state)
-        detections = resizing.found(NOTHING if seen is None else seen)
+        detected, state = detector.detect(pair, state)
+        detections = resizing.found(NOTHING if detected is None else detected)
         for line in format_frame(item, detections, _is_json(options)):
             (say if file is None else file.append)(line)
         if file is not None:
             file.flush()
         if video is not None:
             video.write(draw_detections(item.image, detections))
-        previous, frames, found = frame, frames + 1, found + len(detections)
-        text = plural(found, "detection")
+        previous, frames, count = frame, frames + 1, count + len(detections)
+        text = plural(count, "detection")
         run_silently(partial(progress.advance, time.monotonic() - WATCH.seconds, frames, text, {}))
     run_silently(progress.finish)
-    complain(f"{plural(found, 'detection')} in {plural(frames, 'frame')}")
+    complain(f"{plural(count, 'detection')} in {plural(frames, 'frame')}")
     if source.end_reason != "end_of_source":
         complain(f"{source.description}: {source.end_reason.replace('_', ' ')}")
         return INCOMPLETE
@@ -142,14 +142,14 @@ def _declaration(name: str) -> DetectorDeclaration:
     from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
     from bayesnet_track.observation.plugins import why_absent
 
-    known = installed_detectors([name])
-    if name not in known:
+    declarations = installed_detectors([name])
+    if name not in declarations:
         if (absent := why_absent(ENTRY_POINT_GROUP, name)) is not None:
             raise UsageError(f"detector {absent[0]}; {absent[1]}")
-        near = nearest(name, known)
-        hint = f"; did you mean {near}?" if near else ""
-        raise UsageError(f"no detector is called {name!r}; there are {', '.join(known)}{hint}")
-    return known[name]
+        suggestion = nearest(name, declarations)
+        hint = f"; did you mean {suggestion}?" if suggestion else ""
+        raise UsageError(f"no detector is called {name!r}; there are {', '.join(declarations)}{hint}")
+    return declarations[name]
 
 
 def read_parameters(declaration: DetectorDeclaration | CueDeclaration, settings: Sequence[str]) -> Any:
@@ -177,19 +177,19 @@ def read_parameters(declaration: DetectorDeclaration | CueDeclaration, settings:
 
 
 def _mistakes(error: Any, declaration: DetectorDeclaration | CueDeclaration, nearest: Any) -> list[str]:
-    fields, said = declaration.parameters.model_fields, []
-    for one in error.errors(include_url=False):
-        key = str(one["loc"][0]) if one["loc"] else ""
-        reason = one["msg"].removeprefix("Value error, ")
-        if one["type"] == "extra_forbidden":
-            near = nearest(key, fields)
-            hint = f"; did you mean {near}?" if near else ""
-            said.append(f"{declaration.name} has no parameter {key!r}; it has {', '.join(fields)}{hint}")
+    fields, messages = declaration.parameters.model_fields, []
+    for fault in error.errors(include_url=False):
+        key = str(fault["loc"][0]) if fault["loc"] else ""
+        reason = fault["msg"].removeprefix("Value error, ")
+        if fault["type"] == "extra_forbidden":
+            suggestion = nearest(key, fields)
+            hint = f"; did you mean {suggestion}?" if suggestion else ""
+            messages.append(f"{declaration.name} has no parameter {key!r}; it has {', '.join(fields)}{hint}")
         elif key in fields:
-            said.append(f"{key}: {reason} ({(fields[key].description or '').rstrip('.')})")
+            messages.append(f"{key}: {reason} ({(fields[key].description or '').rstrip('.')})")
         else:
-            said.append(reason)
-    return list(dict.fromkeys(said))
+            messages.append(reason)
+    return list(dict.fromkeys(messages))
 
 
 def _show(
@@ -205,16 +205,16 @@ def _show(
             if len(box) != 4:
                 raise ValueError
         except ValueError:
-            allowed = "four numbers X,Y,W,H are needed (top-left corner, px)"
-            raise UsageError(f"--learn {options.learn!r}: {allowed}") from None
+            format_hint = "four numbers X,Y,W,H are needed (top-left corner, px)"
+            raise UsageError(f"--learn {options.learn!r}: {format_hint}") from None
         try:
             check_box(box, *resizing.source)
         except StartError as error:
             raise UsageError(f"--learn {options.learn!r}: {error}") from None
         x, y, w, h = box
         small = resizing.start(Start((x, y, w, h))).box
-        shown: DetectorState = detector.learn(pair, centre_from_corner(small), state)
-        return shown
+        learned: DetectorState = detector.learn(pair, centre_from_corner(small), state)
+        return learned
     if not detector.knows_target(state):
         raise UsageError(
             f"{options.name} has nothing to look for: give --learn X,Y,W,H, or --set what to look for"
@@ -268,11 +268,11 @@ def cameras(options: argparse.Namespace) -> int:
     from bayesnet_track.numerics.cameras import Camera
     from bayesnet_track.view.overlay import draw_ground, draw_points
 
-    out = Path(options.out)
-    check_free(out, options.overwrite)
+    path = Path(options.out)
+    check_free(path, options.overwrite)
     with users_mistake():
         views = read_cameras(Path(options.file))
-        name = _chosen(views, options.camera)
+        name = _camera_name(views, options.camera)
         view = views[name]
     image = read_frame(options.source, options.frame, options.value_range)
     size = (image.shape[1], image.shape[0])
@@ -285,21 +285,24 @@ def cameras(options: argparse.Namespace) -> int:
     with users_mistake():
         picture, step = draw_ground(image, view)
         if options.points is not None:
-            off = draw_points(picture, view, read_points(Path(options.points)))
-            say(f"{len(off)} points: rms {np.sqrt(np.nanmean(off**2)):.2f} px, worst {np.nanmax(off):.2f} px")
-            if np.nanmax(off) > FAR_OFF_PX or np.isnan(off).any():
+            errors_px = draw_points(picture, view, read_points(Path(options.points)))
+            say(
+                f"{len(errors_px)} points: rms {np.sqrt(np.nanmean(errors_px**2)):.2f} px, "
+                f"worst {np.nanmax(errors_px):.2f} px"
+            )
+            if np.nanmax(errors_px) > FAR_OFF_PX or np.isnan(errors_px).any():
                 complain(
                     "a point is far from where the camera has it: the camera was moved, or points are wrong"
                 )
     if isinstance(view, Camera):
         x, y, z = view.centre
         say(f"{name or 'the camera'} stands at x {x:.2f}, y {y:.2f} m, {z:.2f} m above the ground")
-    good, data = cv2.imencode(out.suffix or ".png", picture)
+    good, data = cv2.imencode(path.suffix or ".png", picture)
     if not good:
-        raise UsageError(f"--out {out}: an image such as cameras.png is needed")
-    with writing(out):
-        out.write_bytes(data.tobytes())
-    say(f"wrote {out}: a line every {step:g} m, the axes x = 0 and y = 0 red, people 1.7 m high blue")
+        raise UsageError(f"--out {path}: an image such as cameras.png is needed")
+    with writing(path):
+        path.write_bytes(data.tobytes())
+    say(f"wrote {path}: a line every {step:g} m, the axes x = 0 and y = 0 red, people 1.7 m high blue")
     return OK
 
 
@@ -327,7 +330,7 @@ def read_cameras(path: Path) -> dict[str, GroundView]:
     }
 
 
-def _chosen(views: dict[str, GroundView], name: str | None) -> str:
+def _camera_name(views: dict[str, GroundView], name: str | None) -> str:
     if name is None and len(views) == 1:
         return next(iter(views))
     if name not in views:

@@ -43,7 +43,7 @@ def find_all(run: Run, target: str | None = None) -> Iterator[Finding]:
 
 
 def _identities(run: Run, target: str | None) -> Iterator[Finding]:
-    """What stands out in how identities follow each other, plate by plate."""
+    """Find what stands out in how identities follow each other, plate by plate."""
     from bayesnet_track.cli.identities import find_identities, identities_of
     from bayesnet_track.journal.blocks import courses
 
@@ -105,7 +105,7 @@ def advise(run: Run, finding: Finding) -> dict[str, Any]:
 
 @cache
 def _refused(text: str, setting: str) -> str | None:
-    """Why a graph does not take a setting; None if it does.
+    """The reason that a graph does not take a setting; None if it does.
 
     What is wrong without the setting, too, does not count: cues of the user's own are not loaded here.
     """
@@ -192,7 +192,7 @@ def diagnose(options: argparse.Namespace) -> int:
         tried |= advice["try"] is not None or bool(advice["settings"])
         say("\n".join(_lines(options.run, advice)))
         if len(group) > 1:
-            say("\n".join(_others(options.run, [finding.target for finding in group[1:]])))
+            say("\n".join(_other_targets(options.run, [finding.target for finding in group[1:]])))
     if tried:
         say(UNTRIED)
     elif not findings:
@@ -226,10 +226,10 @@ def _try_all(options: argparse.Namespace, run: Run, findings: Sequence[Finding])
         plate = run.kinds[finding.target]
         graph = set_values(run.graph_text, list(changes), True, masks, cameras)
         with tempfile.TemporaryDirectory() as folder, recipe.opened() as source:
-            out = Path(folder) / "run"
-            for _ in repeat(run, recipe, source, graph, out, seed=recipe.seed):
+            run_folder = Path(folder) / "run"
+            for _ in repeat(run, recipe, source, graph, run_folder, seed=recipe.seed):
                 pass
-            counted = _count_identities(open_run(out, complain), plate)
+            counted = _count_identities(open_run(run_folder, complain), plate)
         say(f"  {' '.join(changes)}: {counted}")
     return OK
 
@@ -266,7 +266,7 @@ def _grouped(run: Run, findings: Sequence[Finding]) -> Iterator[Sequence[Finding
     yield from groups.values()
 
 
-def _others(run: str, targets: Sequence[str]) -> Iterator[str]:
+def _other_targets(run: str, targets: Sequence[str]) -> Iterator[str]:
     from bayesnet_track.journal.text.wording import plural
 
     some = ", ".join(targets[:SHOWN_TARGETS]) + (", ..." if len(targets) > SHOWN_TARGETS else "")

@@ -41,7 +41,7 @@ def report(options: argparse.Namespace) -> int:
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
     directory = RunDirectory.open(options.run)
-    out = _place(options, directory)
+    path = _place(options, directory)
     events = list(read_events(directory.journal, complain))
     metrics = Measurements(directory.frames, complain) if directory.frames.is_file() else ()
     if not events or not isinstance(events[0], RunStarted):
@@ -50,18 +50,18 @@ def report(options: argparse.Namespace) -> int:
     frames = Blocks(metrics, ()).frames().tolist()
     if options.frames == "none" or not frames:
         missing = "left out by --frames none" if frames else "no frame was tracked"
-        _write(out, page_in_one(data, None, missing, 0))
+        _write(path, page_in_one(data, None, missing, 0))
     else:
-        with pictures_of(directory, events[0], min(frames), max(frames)) as (found, missing):
+        with pictures_of(directory, events[0], min(frames), max(frames)) as (pictures, missing):
             if missing:
                 complain(f"{directory.path}: the page has no pictures: {missing}")
-            if found is not None and options.frames == "full":
-                _write_folder(out, data, found)
+            if pictures is not None and options.frames == "full":
+                _write_folder(path, data, pictures)
             else:
-                _write(out, page_in_one(data, found, missing, len(frames)))
-    if out.resolve() == directory.report.resolve():
+                _write(path, page_in_one(data, pictures, missing, len(frames)))
+    if path.resolve() == directory.report.resolve():
         _list(directory)
-    say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+    say(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
     if not options.open:
         complain(
             "next: open it in a browser (--open does); "
@@ -70,7 +70,7 @@ def report(options: argparse.Namespace) -> int:
     else:
         from bayesnet_track.cli.following import open_page
 
-        open_page(out.absolute().as_uri())
+        open_page(path.absolute().as_uri())
     return OK
 
 
@@ -87,12 +87,12 @@ def _list(directory: RunDirectory) -> None:
 def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
     """The HTML file to write; its folder is there."""
     with writing(Path(options.out or directory.path)):
-        place = _allowed(options, directory)
+        place = _checked_place(options, directory)
         place.parent.mkdir(parents=True, exist_ok=True)
     return place
 
 
-def _allowed(options: argparse.Namespace, directory: RunDirectory) -> Path:
+def _checked_place(options: argparse.Namespace, directory: RunDirectory) -> Path:
     from bayesnet_track.view.run_page import is_page
 
     if options.frames == "full":
@@ -116,40 +116,40 @@ def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any]
     from bayesnet_track.evaluate.runs import say_lengths
     from bayesnet_track.evaluate.truth import read_truth
 
-    given = options.truth
-    place = directory.truth if given is None else Path(given)
-    if given is None and not place.is_file():
+    truth_path = options.truth
+    place = directory.truth if truth_path is None else Path(truth_path)
+    if truth_path is None and not place.is_file():
         return None
     with users_mistake():
         truth = read_truth(place, options.truth_format)
-    if given is not None:
+    if truth_path is not None:
         say_lengths(directory.path, place, len(truth))
     return truth
 
 
-def _write_folder(out: Path, data: Data, found: Found) -> None:
+def _write_folder(path: Path, data: Data, pictures: Found) -> None:
     from bayesnet_track.view.run_page import FRAMES_FOLDER, full_pictures, picture_name, with_folder
 
     frames = []
-    if not out.exists():  # what is killed before the page is there leaves a folder that is known for its own
-        _write(out, [UNFINISHED])
-    with writing(out.parent):
-        (out.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
-        for frame, picture in full_pictures(found.images):
-            (out.parent / picture_name(frame)).write_bytes(picture)
+    if not path.exists():  # what is killed before the page is there leaves a folder that is known for its own
+        _write(path, [UNFINISHED])
+    with writing(path.parent):
+        (path.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
+        for frame, picture in full_pictures(pictures.images):
+            (path.parent / picture_name(frame)).write_bytes(picture)
             frames.append(frame)
-    _write(out, with_folder(*data, tuple(frames), found.annotated))
+    _write(path, with_folder(*data, tuple(frames), pictures.annotated))
 
 
-def _write(out: Path, pieces: Iterable[str]) -> None:
+def _write(path: Path, pieces: Iterable[str]) -> None:
     from bayesnet_track.journal.writer import PART
 
-    part = out.resolve().with_name(out.resolve().name + PART)
-    with writing(out):
+    part = path.resolve().with_name(path.resolve().name + PART)
+    with writing(path):
         with part.open("w", encoding="utf-8", errors="replace", newline="\n") as file:
             for piece in pieces:
                 file.write(piece)
-        part.replace(out.resolve())
+        part.replace(path.resolve())
 
 
 def add_report(commands: argparse._SubParsersAction[Any]) -> None:
@@ -197,11 +197,11 @@ def export(options: argparse.Namespace) -> int:
     if options.out is None:
         sys.stdout.writelines(parts)
         return OK
-    out = Path(options.out)
-    check_free(out, options.overwrite)
-    with writing(out), out.open("w", encoding="utf-8", newline="\n") as file:
+    path = Path(options.out)
+    check_free(path, options.overwrite)
+    with writing(path), path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(parts)
-    complain(f"wrote {out}")
+    complain(f"wrote {path}")
     return OK
 
 
@@ -210,16 +210,17 @@ def _judged(run: Run) -> Run:
     from bayesnet_track.journal.text.wording import plural
     from bayesnet_track.runtime.recording.exports import judge_afterwards
 
-    run, found = judge_afterwards(run)
-    if not found:
+    run, judgements = judge_afterwards(run)
+    if not judgements:
         raise UsageError(
             f"--afterwards: no target of {run.name} has a guarantee with levels for it; "
             "`bayesnet-track fit --guarantee` writes them"
         )
-    for one in found:
+    for judgement in judgements:
         complain(
-            f"target {one.target}: tracking in {one.afterwards} of {plural(one.frames, 'frame')} instead of "
-            f"{one.live}, where the mean score is above {one.level:.4g}"
+            f"target {judgement.target}: tracking in {judgement.afterwards} of "
+            f"{plural(judgement.frames, 'frame')} instead of {judgement.live}, where the mean "
+            f"score is above {judgement.level:.4g}"
         )
     return run
 
@@ -236,15 +237,15 @@ def _export_beliefs(options: argparse.Namespace) -> int:
         raise UsageError("--afterwards judges statuses; --format arviz writes beliefs")
     if options.out is None:
         raise UsageError("--format arviz writes a binary file; give its name with --out")
-    out = Path(options.out)
-    check_free(out, options.overwrite)
+    path = Path(options.out)
+    check_free(path, options.overwrite)
     run = open_run(options.run, complain)
     try:
-        with writing(out):
-            write_arviz(run, out, options.draws or DRAWS)
+        with writing(path):
+            write_arviz(run, path, options.draws or DRAWS)
     except (KeptBeliefsError, ArvizError) as error:
         raise UsageError(str(error)) from error
-    complain(f"wrote {out}")
+    complain(f"wrote {path}")
     return OK
 
 

@@ -72,11 +72,11 @@ def check_count(options: argparse.Namespace, videos: int) -> None:
 
     for name in ("guarantee", "alarm"):
         share = getattr(options, name)
-        if share is not None and videos < (least := fewest_videos(share, alarm=name == "alarm")):
-            there = "there is 1" if videos == 1 else f"there are {videos}"
+        if share is not None and videos < (needed := fewest_videos(share, alarm=name == "alarm")):
+            count_text = "there is 1" if videos == 1 else f"there are {videos}"
             raise UsageError(
-                f"--{name} {share:g} needs {least} videos or more, and {there}: a new video counts as one "
-                "more in which everything is wrong"
+                f"--{name} {share:g} needs {needed} videos or more, and {count_text}: a new video counts as "
+                "one more in which everything is wrong"
             )
 
 
@@ -106,31 +106,31 @@ def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationD
     from bayesnet_track.graph.text.change import set_value
 
     name, plate = next(iter(graph.targets.items()))
-    before = plate.inference(plate.root).guarantee
-    frames = (Guarantee(above=0.0) if before is None else before).frames
+    previous = plate.inference(plate.root).guarantee
+    frames = (Guarantee(above=0.0) if previous is None else previous).frames
     videos = list(runs_of(data, frames).values())
     with users_mistake():
-        found, afterwards = control_risk(videos, share), control_afterwards(videos, share)
+        control, afterwards = control_risk(videos, share), control_afterwards(videos, share)
     promised = f"{100 * share:g} %"
     complain(
         f"guarantee: tracking only while the mean score of {plural(frames, 'frame')} is above "
-        f"{found.above:g}. Averaged over new videos, the expected share of frames called tracking with "
+        f"{control.above:g}. Averaged over new videos, the expected share of frames called tracking with "
         f"IoU ≤ 0.5 is at most {promised}: a statement about the mean, not about each video. With "
-        f"{plural(found.videos, 'video')} the calibrated share may be at most {100 * found.allowed:.2g} %; "
-        f"it is {100 * found.risk:.2g} %."
+        f"{plural(control.videos, 'video')} the calibrated share may be at most {100 * control.allowed:.2g} "
+        f"%; it is {100 * control.risk:.2g} %."
     )
-    if not found.called > 0.0:
+    if not control.called > 0.0:
         complain("guarantee: no frame of these videos would be called tracking; the score does not separate")
-    elif math.isfinite(found.called):
+    elif math.isfinite(control.called):
         later = share_called_afterwards(videos, afterwards)
         complain(
-            f"guarantee: {100 * found.called:.0f} % of the frames with IoU > 0.5 are called tracking, "
+            f"guarantee: {100 * control.called:.0f} % of the frames with IoU > 0.5 are called tracking, "
             f"{100 * later:.0f} % where a run is judged when it is over."
         )
-    value = {"above": found.above, "frames": frames, "share": share, "afterwards": list(afterwards)}
+    value = {"above": control.above, "frames": frames, "share": share, "afterwards": list(afterwards)}
     comment = (
-        f"expected share called tracking with IoU <= 0.5 at most {promised}; {100 * found.risk:.2g} % in "
-        f"{plural(found.videos, 'video')}"
+        f"expected share called tracking with IoU <= 0.5 at most {promised}; {100 * control.risk:.2g} % in "
+        f"{plural(control.videos, 'video')}"
     )
     return set_value(text, ("targets", name, "nodes", plate.root, "guarantee"), value, comment)
 
@@ -170,83 +170,83 @@ def fit(options: argparse.Namespace) -> int:
     from bayesnet_track.graph.text.load import load_graph
 
     promises = options.guarantee is not None or options.alarm is not None
-    what = () if promises else _choose("--what", options.what or USUAL_WHAT, WHAT)
+    quantities = () if promises else _choose("--what", options.what or USUAL_WHAT, WHAT)
     graph, text = load_graph(options.graph), graph_text(options.graph)
     if len(graph.targets) > 1:
-        first, *others = graph.targets
+        first, *omitted = graph.targets
         notice(
             f"{options.graph} has the classes {', '.join(graph.targets)}: {first}, the first one, is fitted, "
-            f"and {', '.join(others)} not; to fit another class, put it first in `targets`"
+            f"and {', '.join(omitted)} not; to fit another class, put it first in `targets`"
         )
     features = used_features(graph)
     if options.features is not None:
         features = _choose("--features", options.features, (*SIGNS, *further_features(graph)))
-    out = None if options.out is None else Path(options.out)
-    if out is not None:
-        with writing(out):
-            if is_there(out) and not options.overwrite:
-                raise UsageError(f"{out} exists; --overwrite replaces it")
-    _check_what(what, graph, options.leave_one_out)
+    path = None if options.out is None else Path(options.out)
+    if path is not None:
+        with writing(path):
+            if is_there(path) and not options.overwrite:
+                raise UsageError(f"{path} exists; --overwrite replaces it")
+    _check_what(quantities, graph, options.leave_one_out)
     if promises:
         check_promises(options, graph)
     if options.motion:
         text, from_what = fit_motion_text(text, graph, options)
-        check_text(text, str(out or options.graph))
-        return _put(out, text, f"fitted to {from_what}")
+        check_text(text, str(path or options.graph))
+        return _put(path, text, f"fitted to {from_what}")
     videos = list(find_videos(options))
     if promises:
         check_count(options, len(videos))
         data = _calibration_data(graph, videos, options, temperatures=False)
         written = write_promises(text, graph, data, options)
-        check_text(written, str(out or options.graph))
-        return _put(out, written, f"calibrated on {plural(len(videos), 'video')}")
-    if "sds" in what:
+        check_text(written, str(path or options.graph))
+        return _put(path, written, f"calibrated on {plural(len(videos), 'video')}")
+    if "sds" in quantities:
         text = fit_sds(text, graph, videos, options.end)
-        graph = check_text(text, str(out or options.graph))
-    if "fusion" in what:
+        graph = check_text(text, str(path or options.graph))
+    if "fusion" in quantities:
         text = fit_fusion(text, graph, videos, options.end)
-        graph = check_text(text, str(out or options.graph))
-    if "policy" in what:
+        graph = check_text(text, str(path or options.graph))
+    if "policy" in quantities:
         text = fit_policy(text, graph, videos, options.end, options.seeds)
-        graph = check_text(text, str(out or options.graph))
-    if set(what) <= set(BEFORE):
-        return _put(out, text, f"fitted to {plural(len(videos), 'video')}")
-    data = _calibration_data(graph, videos, options, "temperature" in what)
+        graph = check_text(text, str(path or options.graph))
+    if set(quantities) <= set(BEFORE):
+        return _put(path, text, f"fitted to {plural(len(videos), 'video')}")
+    data = _calibration_data(graph, videos, options, "temperature" in quantities)
     with users_mistake():
         if options.leave_one_out:
             rows, everyone = leave_one_out(data, features)
             say(calibration_table(rows, everyone))
             return OK
-        fitted = estimate(data, features, keep_score="score" not in what)
-    written = write_fitted(text, graph, fitted, what)
-    check_text(written, str(out or options.graph))
-    return _put(out, written, f"fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
+        fitted = estimate(data, features, keep_score="score" not in quantities)
+    written = write_fitted(text, graph, fitted, quantities)
+    check_text(written, str(path or options.graph))
+    return _put(path, written, f"fitted to {fitted.frames} frames of {plural(fitted.videos, 'video')}")
 
 
-def _check_what(what: Sequence[str], graph: CheckedGraph, leave_one_out: bool) -> None:
+def _check_what(quantities: Sequence[str], graph: CheckedGraph, leave_one_out: bool) -> None:
     """Refuse what cannot be estimated together, or of this graph; raises UsageError."""
-    if leave_one_out and not set(what).isdisjoint(BEFORE):
+    if leave_one_out and not set(quantities).isdisjoint(BEFORE):
         raise UsageError(
             "--leave-one-out judges score and regions; fit sds, fusion and policy to other videos first"
         )
-    by_score = [one for one in ("localization_error", "lost") if one in what]
-    if by_score and "score" not in what and not has_score(graph):
+    by_score = [quantity for quantity in ("localization_error", "lost") if quantity in quantities]
+    if by_score and "score" not in quantities and not has_score(graph):
         raise UsageError(
             f"--what: {' and '.join(by_score)} {'go' if len(by_score) > 1 else 'goes'} by the score, and the "
             "graph has none; add score to --what"
         )
-    if "ud" in what and "policy" in what:
+    if "ud" in quantities and "policy" in quantities:
         raise UsageError(
             "--what: ud and policy both set the levels of `activate` and `deactivate`; choose one"
         )
 
 
-def _put(out: Path | None, text: str, said: str) -> int:
-    if out is None:
+def _put(path: Path | None, text: str, origin: str) -> int:
+    if path is None:
         say(text.removesuffix("\n"))
     else:
-        _write(out, text)
-        say(f"{out}: {said}")
+        _write(path, text)
+        say(f"{path}: {origin}")
     return OK
 
 
@@ -257,13 +257,13 @@ def graph_text(graph: str) -> str:
     return (find_graph(graph) if graph in graph_names() else Path(graph)).read_text(encoding="utf-8")
 
 
-def _choose(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
+def _choose(option: str, text: str, available: Sequence[str]) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     for name in names:
-        if name not in known:
-            raise UsageError(f"{option}: no {name!r}; there are {', '.join(known)}")
+        if name not in available:
+            raise UsageError(f"{option}: no {name!r}; there are {', '.join(available)}")
     if not names:
-        raise UsageError(f"{option} names nothing; there are {', '.join(known)}")
+        raise UsageError(f"{option} names nothing; there are {', '.join(available)}")
     return names
 
 
@@ -272,16 +272,17 @@ def _calibration_data(
 ) -> list[CalibrationData]:
     from bayesnet_track.evaluate.calibration_data import calibration_data, with_features
 
-    measuring, found = with_features(graph), []
+    measuring, data = with_features(graph), []
     for video in videos:
         for seed in range(options.seeds):
             with frames_of(video, options.end) as frames, users_mistake():
-                one = calibration_data(measuring, video.name, frames, video.truth, seed, temperatures)
+                video_data = calibration_data(measuring, video.name, frames, video.truth, seed, temperatures)
             complain(
-                f"{video.name}, seed {seed}: {one.frames} frames, mean IoU {one.iou[one.seen].mean():.3f}"
+                f"{video.name}, seed {seed}: {video_data.frames} frames, mean IoU "
+                f"{video_data.iou[video_data.seen].mean():.3f}"
             )
-            found.append(one)
-    return found
+            data.append(video_data)
+    return data
 
 
 def _write(path: Path, text: str) -> None:

@@ -26,8 +26,8 @@ def used_features(graph: CheckedGraph) -> tuple[str, ...]:
     from bayesnet_track.evaluate.calibration import USUAL_FEATURES
 
     score = _score_of(graph)
-    used = () if score is None else tuple(name for name, slope in score.coefficients.items() if slope)
-    return used or USUAL_FEATURES
+    names = () if score is None else tuple(name for name, slope in score.coefficients.items() if slope)
+    return names or USUAL_FEATURES
 
 
 def has_score(graph: CheckedGraph) -> bool:
@@ -41,7 +41,7 @@ def _score_of(graph: CheckedGraph) -> Logistic | None:
     return None if score is None else score.settings
 
 
-def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[str]) -> str:
+def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, quantities: Sequence[str]) -> str:
     """The graph's text with what was estimated, each with a comment that says from what."""
     from bayesnet_track.evaluate.calibration import HEAVY_TAIL
     from bayesnet_track.graph.text.change import set_value
@@ -55,41 +55,43 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, what: Sequence[
         nonlocal text
         text = set_value(text, (*path, *key), value, comment)
 
-    if "temperature" in what:
+    if "temperature" in quantities:
         for agent, factor in fitted.temperatures.items():
             value = _short(plate.agent(agent).temperature * factor)
-            where = ("targets", name, "nodes", agent, "temperature")
+            key_path = ("targets", name, "nodes", agent, "temperature")
             text = set_value(
-                text, where, value, f"temperature: maximum likelihood of the ground truth; {from_what}"
+                text, key_path, value, f"temperature: maximum likelihood of the ground truth; {from_what}"
             )
-    if "ud" in what and spec.adapt is not None:
+    if "ud" in quantities and spec.adapt is not None:
         for rule, side in (("activate", "above"), ("deactivate", "below")):
-            chosen = getattr(getattr(spec.adapt, rule), side, None)
-            if chosen is not None:
+            level = getattr(getattr(spec.adapt, rule), side, None)
+            if level is not None:
                 share = "90" if rule == "activate" else "50"
-                said = f"{share} % of the frames on target lie below; {from_what}"
-                put(("adapt", rule, side), {"ud_box": _short(fitted.ud_box[rule])}, said)
-    if "ud" in what and spec.learn is not None:
-        said = f"67 % of the frames on target lie below, at most 50 % of those off it; {from_what}"
-        put(("learn", "below"), {"ud_box": _short(fitted.ud_box["learn"])}, said)
-    if "score" in what:
+                explanation = f"{share} % of the frames on target lie below; {from_what}"
+                put(("adapt", rule, side), {"ud_box": _short(fitted.ud_box[rule])}, explanation)
+    if "ud" in quantities and spec.learn is not None:
+        explanation = f"67 % of the frames on target lie below, at most 50 % of those off it; {from_what}"
+        put(("learn", "below"), {"ud_box": _short(fitted.ud_box["learn"])}, explanation)
+    if "score" in quantities:
         put(("score",), {"logistic": _score_values(graph, fitted)}, f"probability of IoU > 0.5; {from_what}")
-    if "localization_error" in what:
+    if "localization_error" in quantities:
         sd, lost_sd = (_short(value) for value in fitted.localization_error)
         error = {"sd_box": sd, "lost_sd_box": lost_sd, "heavy_tail": dict(HEAVY_TAIL)}
         put(("localization_error",), error, f"regions hold 50 % and 90 %; {from_what}")
-    if "lost" in what:
+    if "lost" in quantities:
         # A distractor, or what does not fit as the target did, puts the score at one half: that is uncertain.
         halves = spec.distractors is not None or (spec.lost is not None and spec.lost.found_fit is not None)
-        least = 0.51 if halves else 0.0
+        lower_bound = 0.51 if halves else 0.0
         levels = {
             "score_below": _short(fitted.levels.score_below),
-            "uncertain_below": _short(max(fitted.levels.uncertain_below, least)),
+            "uncertain_below": _short(max(fitted.levels.uncertain_below, lower_bound)),
         }
         set_here = {"above", *levels}
-        kept = {} if spec.lost is None else spec.lost.model_dump(exclude_none=True, exclude=set_here)
-        said = f"2 % of the frames on target score below, and most told apart at uncertain; {from_what}"
-        put(("lost",), {**levels, **kept}, said)
+        remaining = {} if spec.lost is None else spec.lost.model_dump(exclude_none=True, exclude=set_here)
+        explanation = (
+            f"2 % of the frames on target score below, and most told apart at uncertain; {from_what}"
+        )
+        put(("lost",), {**levels, **remaining}, explanation)
     return text
 
 
@@ -106,7 +108,8 @@ def _score_values(graph: CheckedGraph, fitted: Fitted) -> dict[str, Any]:
         return values
     confidence = {agent: values.pop(confidence_feature(agent), 0.0) for agent in rule.confidence}
     verifiers = {
-        name: {**as_plain(one), "coefficient": values.pop(name, 0.0)} for name, one in rule.verifiers.items()
+        name: {**as_plain(verifier), "coefficient": values.pop(name, 0.0)}
+        for name, verifier in rule.verifiers.items()
     }
     values["memory_frames"] = _short(rule.memory_frames)
     if rule.full_fit > 0:
@@ -123,16 +126,16 @@ def calibration_table(rows: Sequence[Checked], everyone: Checked) -> str:
     head = ["video", "frames", "on target", "said", "50 %", "90 %", "AUROC", "Brier"]
     cells = [
         [
-            one.name,
-            str(one.frames),
-            f"{one.on:.3f}",
-            f"{one.said:.3f}",
-            f"{one.coverage50:.3f}",
-            f"{one.coverage90:.3f}",
-            "-" if one.auroc is None else f"{one.auroc:.3f}",
-            f"{one.brier:.3f}",
+            checked.name,
+            str(checked.frames),
+            f"{checked.on:.3f}",
+            f"{checked.said:.3f}",
+            f"{checked.coverage50:.3f}",
+            f"{checked.coverage90:.3f}",
+            "-" if checked.auroc is None else f"{checked.auroc:.3f}",
+            f"{checked.brier:.3f}",
         ]
-        for one in (*rows, everyone)
+        for checked in (*rows, everyone)
     ]
     widths = [max(len(row[k]) for row in [head, *cells]) for k in range(len(head))]
     lines = [
@@ -143,8 +146,9 @@ def calibration_table(rows: Sequence[Checked], everyone: Checked) -> str:
     ]
     lines += ["", "score         frames   said    was"]
     lines += [
-        f"{one.low:.1f} to {one.high:.1f}  {one.frames:>8}  {one.said:.3f}  {one.was:.3f}"
-        for one in everyone.bins
+        f"{score_bin.low:.1f} to {score_bin.high:.1f}  {score_bin.frames:>8}  "
+        f"{score_bin.said:.3f}  {score_bin.was:.3f}"
+        for score_bin in everyone.bins
     ]
     return "\n".join(line.rstrip() for line in lines)
 

@@ -89,8 +89,8 @@ def graph(options: argparse.Namespace) -> int:
         return OK
     text = _density if options.formula or options.latex else _plan
     if options.formula or options.latex or not (options.svg or options.png):
-        said = [text(plate, _active(plate), options.latex) for plate in plates]
-        say("\n\n".join([*said, *_joins(loaded, plates, options)]))
+        texts = [text(plate, _active(plate), options.latex) for plate in plates]
+        say("\n\n".join([*texts, *_joins(loaded, plates, options)]))
     plate, active = plates[0], _active(plates[0])
     if options.svg is not None:
         from bayesnet_track.view.graph_picture import graph_svg
@@ -134,8 +134,8 @@ def _joins(loaded: CheckedGraph, plates: list[CheckedTarget], options: argparse.
     if not (options.formula or options.latex):
         return []
     kinds = {plate.name for plate in plates}
-    about = [one for one in loaded.spec.joins if one.between is None or kinds & set(one.between)]
-    return [(join_latex if options.latex else join_text)(one) for one in about]
+    selected = [join for join in loaded.spec.joins if join.between is None or kinds & set(join.between)]
+    return [(join_latex if options.latex else join_text)(join) for join in selected]
 
 
 def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
@@ -144,17 +144,19 @@ def _plan(plate: CheckedTarget, active: frozenset[str], as_latex: bool) -> str:
 
     agents = {agent: plate.agent(agent) for agent in plate.agents}
     cues = installed_cues(agent.agent.cue for agent in agents.values())
-    made = {name: make_cue(cues[one.agent.cue], plate.parameters[name]) for name, one in agents.items()}
-    return describe_plan(compile_plan(plate, active, made), agents)
+    cue_instances = {
+        name: make_cue(cues[checked.agent.cue], plate.parameters[name]) for name, checked in agents.items()
+    }
+    return describe_plan(compile_plan(plate, active, cue_instances), agents)
 
 
 def _plates(loaded: CheckedGraph, name: str | None) -> list[CheckedTarget]:
     if name is None:
         return list(loaded.targets.values())
     if name not in loaded.targets:
-        close = nearest(name, loaded.targets)
-        near = f"; nearest: {close}" if close else ""
-        raise UsageError(f"no target {name!r}; there are {', '.join(loaded.targets)}{near}")
+        suggestion = nearest(name, loaded.targets)
+        hint = f"; nearest: {suggestion}" if suggestion else ""
+        raise UsageError(f"no target {name!r}; there are {', '.join(loaded.targets)}{hint}")
     return [loaded.targets[name]]
 
 
@@ -186,8 +188,8 @@ def list_installed(options: argparse.Namespace) -> int:
     from bayesnet_track.sources.scenes.people import ROOMS
 
     say(f"graphs (name one, or copy its file from {graph_folder()}):")
-    for graph, about in graphs_about().items():
-        say(f"  {graph:29} {about}")
+    for graph, summary in graphs_about().items():
+        say(f"  {graph:29} {summary}")
     say("scenes (for `demo`):")
     for line in wrap(", ".join((*scene_names(), *ROOMS)), 100, break_on_hyphens=False):
         say(f"  {line}")
@@ -198,10 +200,10 @@ def list_installed(options: argparse.Namespace) -> int:
     for detector in installed_detectors(allowed()).values():
         say(f"  {detector.name:21} {detector.summary}")
     for group, word in ((CUES, "cues"), (DETECTORS, "detectors")):
-        found = {name: package for name, package in others(group).items() if name not in allowed()}
-        if found:
+        unloaded = {name: package for name, package in others(group).items() if name not in allowed()}
+        if unloaded:
             say(f"{word} of other packages, not loaded (--allow-plugins NAME lets a graph use one):")
-        for name, package in found.items():
+        for name, package in unloaded.items():
             say(f"  {name:21} {package}")
     return OK
 
@@ -327,18 +329,18 @@ def completion(options: argparse.Namespace) -> int:
     files = {"bash": "compgen -f -X '!*.yaml' -- $1; compgen -d -- $1", "zsh": "_files -g '*.yaml'"}
     files["fish"] = "__fish_complete_path (commandline -ct)"
     preamble = dict.fromkeys(("bash", "zsh", "fish"), "")
-    for kind, given in names.items():
-        words = " ".join(given)
-        after = files if kind == "graphs" else dict.fromkeys(files, "")
-        preamble["bash"] += f"_bt_{kind}() {{\n  compgen -W '{words}' -- $1\n  {after['bash']}\n}}\n"
-        preamble["zsh"] += f"_bt_{kind}() {{\n  compadd -- {words}\n  {after['zsh']}\n}}\n"
-        preamble["fish"] += f"function _bt_{kind}\n  printf '%s\\n' {words}\n  {after['fish']}\nend\n"
+    for kind, choices in names.items():
+        words = " ".join(choices)
+        commands = files if kind == "graphs" else dict.fromkeys(files, "")
+        preamble["bash"] += f"_bt_{kind}() {{\n  compgen -W '{words}' -- $1\n  {commands['bash']}\n}}\n"
+        preamble["zsh"] += f"_bt_{kind}() {{\n  compadd -- {words}\n  {commands['zsh']}\n}}\n"
+        preamble["fish"] += f"function _bt_{kind}\n  printf '%s\\n' {words}\n  {commands['fish']}\nend\n"
     say(shtab.complete(options.parser, shell=options.shell, preamble=preamble))
     return OK
 
 
 def kind_of(action: argparse.Action) -> str | None:
-    """What is completed there, of `KINDS`; None where that is nothing, or the argument's own choices."""
+    """The kind of `KINDS` to complete there; None where that is nothing, or the argument's own choices."""
     if action.nargs == 0 or action.choices is not None:
         return None
     metavar = action.metavar if isinstance(action.metavar, str) else ""

@@ -45,14 +45,14 @@ def learn_shape(options: argparse.Namespace) -> int:
 
     if (options.source is None) != (options.truth is None):
         raise UsageError("--source and --truth belong together: a video, and the target's boxes in it")
-    code, found = _from_masks(options) if options.masks is not None else _from_boxes(options)
-    examples = [vector for _, vector, support in found if support >= options.min_support]
-    poor = [name for name, _, support in found if support < options.min_support]
+    code, candidates = _from_masks(options) if options.masks is not None else _from_boxes(options)
+    examples = [vector for _, vector, support in candidates if support >= options.min_support]
+    poor = [name for name, _, support in candidates if support < options.min_support]
     if poor:
         named = ", ".join(poor[:SHOWN]) + (", ..." if len(poor) > SHOWN else "")
         complain(f"{len(poor)} left out, with too little of the silhouette on edges: {named}")
     if not examples:
-        raise UsageError(f"no example is left of {len(found)}; nothing is written")
+        raise UsageError(f"no example is left of {len(candidates)}; nothing is written")
     model = learn_model(np.array(examples), options.keep)
     _write(Path(options.out), model)
     modes = f"{len(model.modes)} mode{'' if len(model.modes) == 1 else 's'}"
@@ -72,17 +72,17 @@ def _from_masks(options: argparse.Namespace) -> tuple[int, Examples]:
 
     if options.value_range is not None:
         raise UsageError("--range is for --source; a mask is what is not black")
-    folder, found = Path(options.masks), []
+    folder, examples = Path(options.masks), []
     with users_mistake():
         paths = sorted(images_in(folder), key=natural_key)
         if not paths:
             raise UsageError(f"{folder}: holds no images")
         for path in paths:
             try:
-                found.append((path.name, *mask_example(read_image(path)[0].max(axis=2), options.grid)))
+                examples.append((path.name, *mask_example(read_image(path)[0].max(axis=2), options.grid)))
             except ValueError as error:
                 raise UsageError(f"{path}: {error}") from error
-    return OK, found
+    return OK, examples
 
 
 def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
@@ -98,28 +98,28 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
 
     with users_mistake():
         boxes = centre_from_corner(read_truth(options.truth, options.truth_format))
-    edges, found = EdgePlane(options.edge_gray), []
+    edges, examples = EdgePlane(options.edge_gray), []
     with open_source(options.source, None, len(boxes), value_range=options.value_range) as source:
-        last = -1
+        last_index = -1
         for item in source:
             if isinstance(item, Frame):
-                last = item.index
+                last_index = item.index
             if not isinstance(item, Frame) or item.index % options.every:
                 continue  # a notice, or not asked for
             box = boxes[item.index]
             if np.isfinite(box).all():
-                found.append((f"frame {item.index}", *frame_example(item, box, edges, options.grid)))
-    if not found:
+                examples.append((f"frame {item.index}", *frame_example(item, box, edges, options.grid)))
+    if not examples:
         raise UsageError(f"{options.truth}: no box for any frame of {options.source}")
-    if last + 1 < len(boxes):
+    if last_index + 1 < len(boxes):
         notice(
-            f"{options.truth} has {len(boxes)} rows, {options.source} {last + 1} frames: is it of this "
-            f"video? Not used: rows {last + 1} to {len(boxes) - 1}, counted from 0"
+            f"{options.truth} has {len(boxes)} rows, {options.source} {last_index + 1} frames: is it of this "
+            f"video? Not used: rows {last_index + 1} to {len(boxes) - 1}, counted from 0"
         )
     if source.end_reason != "end_of_source":
         complain(f"{options.source}: {source.end_reason.replace('_', ' ')}; learnt from what could be read")
-        return INCOMPLETE, found
-    return OK, found
+        return INCOMPLETE, examples
+    return OK, examples
 
 
 def _write(path: Path, model: ShapeModel) -> None:
@@ -190,9 +190,9 @@ def learn_stereo(options: argparse.Namespace) -> int:
 
     declaration = installed_cues()["stereo"]
     parameters = read_parameters(declaration, options.set)
-    given = parameters.model_dump(exclude_unset=True)
+    settings = parameters.model_dump(exclude_unset=True)
     for name in ESTIMATED:
-        if name in given:
+        if name in settings:
             raise UsageError(f"--set {name}: it is what is estimated; leave it out")
     with users_mistake():
         boxes = centre_from_corner(read_truth(options.truth, options.truth_format))
@@ -209,12 +209,12 @@ def learn_stereo(options: argparse.Namespace) -> int:
         hint = "" if options.within is None else "; a larger --within makes fewer groups"
         raise UsageError(f"too few boxes with a blob of depth: {error}{hint}") from error
     sd = np.maximum(spread.sd, LEAST_SHARE * default)
-    about = "" if options.within is None else f", each about the mean of its {options.within} frames"
-    say(f"# {len(frames)} examples{about}; the default counts for {options.prior:g} more")
-    for name, own, was in zip(ESTIMATED, spread.raw, default, strict=True):
-        say(f"# {name}: {own:.3g} in the examples, {was:g} by default")
+    grouping = "" if options.within is None else f", each about the mean of its {options.within} frames"
+    say(f"# {len(frames)} examples{grouping}; the default counts for {options.prior:g} more")
+    for name, estimate, was in zip(ESTIMATED, spread.raw, default, strict=True):
+        say(f"# {name}: {estimate:.3g} in the examples, {was:g} by default")
     learnt = {name: float(f"{value:.3g}") for name, value in zip(ESTIMATED, sd, strict=True)}
-    say(f"stereo: {{{', '.join(f'{key}: {_yaml(value)}' for key, value in {**given, **learnt}.items())}}}")
+    say(f"stereo: {{{', '.join(f'{key}: {_yaml(value)}' for key, value in {**settings, **learnt}.items())}}}")
     if source.end_reason != "end_of_source":
         complain(
             f"{source.description}: {source.end_reason.replace('_', ' ')}; learnt from what could be read"
@@ -223,7 +223,7 @@ def learn_stereo(options: argparse.Namespace) -> int:
     return OK
 
 
-def _examples(cue: Any, source: Source, boxes: Floats, every: int) -> tuple[NDArray[np.int64], Floats]:
+def _examples(cue: Any, source: Source, boxes: Floats, stride: int) -> tuple[NDArray[np.int64], Floats]:
     """(n,) frames with a blob in the true box, and (n, K) its features there."""
     import numpy as np
 
@@ -231,7 +231,7 @@ def _examples(cue: Any, source: Source, boxes: Floats, every: int) -> tuple[NDAr
 
     frames, features, empty = [], [], []
     for item in source:
-        if not isinstance(item, Frame) or item.index % every:
+        if not isinstance(item, Frame) or item.index % stride:
             continue  # a notice, or not asked for
         box = boxes[item.index]
         if not np.isfinite(box).all():

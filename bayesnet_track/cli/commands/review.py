@@ -120,9 +120,9 @@ def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[
 
     frames = None
     if options.frames is not None:
-        first, separator, last = options.frames.partition(":")
+        first, separator, end = options.frames.partition(":")
         try:
-            frames = (int(first or 0), int(last) if last else 2**62)
+            frames = (int(first or 0), int(end) if end else 2**62)
         except ValueError:
             frames = (0, 0)
         if not separator and first and frames[1] > 0:
@@ -167,9 +167,9 @@ def _check_node(directory: RunDirectory, node: str | None) -> None:
         name for target in spec.targets.values() for name in per_camera(target, tuple(spec.cameras)).nodes
     ]
     if node not in names:
-        close = nearest(node, names)
-        near = f"; nearest: {close}" if close else ""
-        raise UsageError(f"no node {node!r} in the run's graph; there are {', '.join(names)}{near}")
+        suggestion = nearest(node, names)
+        hint = f"; nearest: {suggestion}" if suggestion else ""
+        raise UsageError(f"no node {node!r} in the run's graph; there are {', '.join(names)}{hint}")
 
 
 def score(options: argparse.Namespace) -> int:
@@ -179,14 +179,14 @@ def score(options: argparse.Namespace) -> int:
     from bayesnet_track.evaluate.world import is_world_truth
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
-    given = _written(Path(options.run))
-    if os.path.isfile(given):  # noqa: PTH113 (a name that is too long is no file, and raises nothing)
+    path = _written(Path(options.run))
+    if os.path.isfile(path):  # noqa: PTH113 (a name that is too long is no file, and raises nothing)
         if not options.truth:
-            raise UsageError(f"{given}: a file of tracks brings no ground truth; name one with --truth FILE")
+            raise UsageError(f"{path}: a file of tracks brings no ground truth; name one with --truth FILE")
         if is_world_truth(Path(options.truth)):
-            return _score_world(given, Path(options.truth), options)
-        return _score_several(given, Path(options.truth), options)
-    directory = RunDirectory.open(given)
+            return _score_world(path, Path(options.truth), options)
+        return _score_several(path, Path(options.truth), options)
+    directory = RunDirectory.open(path)
     truth = Path(options.truth) if options.truth else directory.truth
     if not os.path.isfile(truth):  # noqa: PTH113
         raise UsageError(f"no ground truth at {truth}; name one with --truth FILE")
@@ -240,12 +240,16 @@ def _score_several(
         true, tracked = read_pair(tracks, truth, strided, ran, options.truth_format)
         if run is not None:
             say_misplaced(run.path, truth, true.boxes)
-        chosen = options.classes or class_names(true)
-        pair = of_classes(true, tracked, chosen) if options.classes else (true, tracked)
+        selected = options.classes or class_names(true)
+        pair = of_classes(true, tracked, selected) if options.classes else (true, tracked)
         result = score_mot(*pair, cutoff, options.trajectories)
-        by_class = score_classes(true, tracked, chosen, cutoff) if len(chosen) > 1 else {}
+        by_class = score_classes(true, tracked, selected, cutoff) if len(selected) > 1 else {}
     if options.json:
-        classes = {"classes": {name: asdict(one) for name, one in by_class.items()}} if by_class else {}
+        classes = (
+            {"classes": {name: asdict(class_score) for name, class_score in by_class.items()}}
+            if by_class
+            else {}
+        )
         say(json.dumps(asdict(result) | classes))
         return OK
     say(result.text(explained=True))
@@ -294,9 +298,9 @@ def _score_world(
             raise UsageError(f"{option}: {truth} is a ground truth in metres (t,id,x,y); leave it out")
     with users_mistake():
         tracked = read_world_tracks(tracks)
-        until = math.inf if run is None else end_of_run(run.path, tracks)
+        end_s = math.inf if run is None else end_of_run(run.path, tracks)
         cutoff = MATCH_M if options.cutoff is None else options.cutoff
-        result = score_world(read_world_truth(truth), tracked, until=until, cutoff_m=cutoff)
+        result = score_world(read_world_truth(truth), tracked, until=end_s, cutoff_m=cutoff)
     say(result.json() if options.json else result.text())
     return OK
 
@@ -377,26 +381,31 @@ def verify(options: argparse.Namespace) -> int:
     """Compare a run with its manifest."""
     from bayesnet_track.runtime.checkpoints.standing import verify
 
-    found = verify(options.run)
+    verified = verify(options.run)
     if options.json:
-        held = {"run": options.run, "status": found.status, "result": found.result, "outputs": found.outputs}
-        say(json.dumps(held, indent=1))
+        report = {
+            "run": options.run,
+            "status": verified.status,
+            "result": verified.result,
+            "outputs": verified.outputs,
+        }
+        say(json.dumps(report, indent=1))
     else:
-        _report(options.run, found)
-    return {"verified": OK, "changed": BAD_SOURCE}.get(found.status, INCOMPLETE)
+        _report(options.run, verified)
+    return {"verified": OK, "changed": BAD_SOURCE}.get(verified.status, INCOMPLETE)
 
 
-def _report(run: str, found: Verified) -> None:
-    if found.status in WITHOUT:
-        say(f"{run}: {WITHOUT[found.status].format(run=run)}")
+def _report(run: str, verified: Verified) -> None:
+    if verified.status in WITHOUT:
+        say(f"{run}: {WITHOUT[verified.status].format(run=run)}")
         return
-    wrong = {name: finding for name, finding in found.outputs.items() if finding != "ok"}
+    wrong = {name: finding for name, finding in verified.outputs.items() if finding != "ok"}
     for name, finding in wrong.items():
         say(f"{run}/{name}: {SAID[finding]}")
     if wrong:
-        say(f"{run}: changed: {len(wrong)} of {len(found.outputs)} files are not as the run left them")
+        say(f"{run}: changed: {len(wrong)} of {len(verified.outputs)} files are not as the run left them")
     else:
-        say(f"{run}: verified: {len(found.outputs)} files, result {found.result}")
+        say(f"{run}: verified: {len(verified.outputs)} files, result {verified.result}")
 
 
 def add_verify(commands: argparse._SubParsersAction[Any]) -> None:

@@ -76,19 +76,19 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     if options.set:
         graph = set_values(graph.text, options.set, True, graph.masks, graph.calibrations)
     # Only what an earlier demo wrote there is replaced without being asked to.
-    out = run_folder(options.out or f"runs/{options.scene}")
+    folder = run_folder(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
     starts = [
         Start(box, plate) for plate, box in (*scene.starts, *scene.part_starts) if plate in graph.targets
     ]
     starts = [] if has_births(graph) else starts or [Start(scene.start_box)]
     has_truth = bool(starts) and starts[0].box == scene.start_box
-    world = None if scene.ground is None else _write_inputs(options, source, out)
-    code = track_source(options, graph, source, starts, out, video=True, view=view)
-    directory = RunDirectory.open(out) if code == OK else None
+    world = None if scene.ground is None else _write_inputs(options, source, folder)
+    code = track_source(options, graph, source, starts, folder, video=True, view=view)
+    directory = RunDirectory.open(folder) if code == OK else None
     if options.json and directory is not None:
-        scores = asdict(score_run(out, directory.truth, target="1")) if has_truth else {}
-        say(json.dumps({"run": str(out), "scene": options.scene, "scores": scores}))
+        scores = asdict(score_run(folder, directory.truth, target="1")) if has_truth else {}
+        say(json.dumps({"run": str(folder), "scene": options.scene, "scores": scores}))
     if directory is None or options.quiet or options.json:
         return code
     events = list(read_events(directory.journal))
@@ -100,13 +100,13 @@ def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
     if has_truth:
         whose = f" of {kinds['1']} 1" if name_target else ""
         say(f"\nagainst the ground truth{whose}:")
-        say(score_run(out, directory.truth, target="1").text(explained=True))
+        say(score_run(folder, directory.truth, target="1").text(explained=True))
     if world is not None:
         _say_world(directory, world)
     explained_frame = min(29, source.expected_frames - 1)
     say(
-        f"\nopen {directory.video} to watch it; `bayesnet-track report {out}` writes a page about it; "
-        f"`bayesnet-track log {out} --why {explained_frame}` explains a frame"
+        f"\nopen {directory.video} to watch it; `bayesnet-track report {folder}` writes a page about it; "
+        f"`bayesnet-track log {folder} --why {explained_frame}` explains a frame"
     )
     return code
 
@@ -147,13 +147,13 @@ def _demo_room(options: argparse.Namespace, fault: str) -> int:
     return code
 
 
-def _write_inputs(options: argparse.Namespace, source: SceneSource, out: Path) -> Path:
+def _write_inputs(options: argparse.Namespace, source: SceneSource, run_path: Path) -> Path:
     """Write the scene's detections, calibration and places in metres beside the run; the last one's path."""
     from bayesnet_track.vision.camera_calibration import write_camera
 
     ground = source.scene.ground
     assert ground is not None
-    folder = out.with_name(f"{out.name}_inputs")
+    folder = run_path.with_name(f"{run_path.name}_inputs")
     truth = folder / "truth.csv"
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -228,7 +228,7 @@ def resume(options: argparse.Namespace) -> int:
 
 
 def _expected(directory: RunDirectory) -> int | None:
-    """How many frames the journal says are to be tracked."""
+    """The number of frames to be tracked by the journal."""
     from bayesnet_track.journal.codec import JournalError
     from bayesnet_track.journal.events.runs import RunStarted
     from bayesnet_track.journal.reader import read_events
@@ -344,57 +344,57 @@ def simulate(options: argparse.Namespace) -> int:
         check_given(graph, [start], frame.width, frame.height)
     plate = graph.targets[start.plate or next(iter(graph.targets))]
     size, inputs = (frame.width, frame.height), read_inputs(graph.spec)
-    chosen = Simulation(options.frames, options.draws, options.seed, size, inputs)
-    drawn = draw(plate, dict(graph.spec.constants), centre_from_corner(start.box), chosen)
-    say(_summary(drawn, frame))
+    simulation = Simulation(options.frames, options.draws, options.seed, size, inputs)
+    simulated = draw(plate, dict(graph.spec.constants), centre_from_corner(start.box), simulation)
+    say(_summary(simulated, frame))
     if options.csv is not None:
         with writing(Path(options.csv)):
-            Path(options.csv).write_text(csv_text(drawn, frame.index), encoding="utf-8")
+            Path(options.csv).write_text(csv_text(simulated, frame.index), encoding="utf-8")
         say(f"wrote {options.csv}")
     if options.png is not None:
         import cv2
 
         from bayesnet_track.view.overlay import draw_trajectories
 
-        picture = cv2.imencode(".png", draw_trajectories(frame.image, drawn.boxes))[1].tobytes()
+        picture = cv2.imencode(".png", draw_trajectories(frame.image, simulated.boxes))[1].tobytes()
         with writing(Path(options.png)):
             Path(options.png).write_bytes(picture)
         say(f"wrote {options.png}")
     return OK
 
 
-def csv_text(drawn: Simulated, first: int = 0) -> str:
+def csv_text(simulated: Simulated, first: int = 0) -> str:
     """A row for each trajectory and frame: corner box in px, then the further fields."""
     from bayesnet_track.numerics.boxes import corner_from_centre
 
-    further = drawn.fields[4:]
-    lines = [",".join(("trajectory", "frame", "x", "y", "w", "h", *further))]
-    for number in range(drawn.states.shape[1]):
-        for frame, state in enumerate(drawn.states[:, number]):
+    extra_fields = simulated.fields[4:]
+    lines = [",".join(("trajectory", "frame", "x", "y", "w", "h", *extra_fields))]
+    for number in range(simulated.states.shape[1]):
+        for frame, state in enumerate(simulated.states[:, number]):
             values = [f"{value:.3f}" for value in corner_from_centre(state[:4])]
-            for name, value in zip(further, state[4:], strict=True):
-                is_mode = drawn.modes and name == further[-1]
-                values.append(drawn.modes[int(value)] if is_mode else f"{value:.4f}")
+            for name, value in zip(extra_fields, state[4:], strict=True):
+                is_mode = simulated.modes and name == extra_fields[-1]
+                values.append(simulated.modes[int(value)] if is_mode else f"{value:.4f}")
             lines.append(",".join((str(number), str(first + frame), *values)))
     return "\n".join(lines) + "\n"
 
 
-def _summary(drawn: Simulated, frame: Frame) -> str:
-    """How far the centre and the size have gone after some frames."""
+def _summary(simulated: Simulated, frame: Frame) -> str:
+    """Table of how far the centre and the size have gone after some frames."""
     import numpy as np
 
-    boxes, last = drawn.boxes, len(drawn.boxes) - 1
+    boxes, last_frame = simulated.boxes, len(simulated.boxes) - 1
     side = np.sqrt(boxes[..., 2] * boxes[..., 3])
-    away = np.hypot(*np.moveaxis(boxes[..., :2] - boxes[0, :, :2], -1, 0))
+    distance = np.hypot(*np.moveaxis(boxes[..., :2] - boxes[0, :, :2], -1, 0))
     x, y = boxes[..., 0], boxes[..., 1]
     at_border = ((x <= 0) | (y <= 0) | (x >= frame.width - 1) | (y >= frame.height - 1)).mean(axis=1)
     rows = ["frames  centre, px from the start     side, % of the first    centre at the"]
     rows += ["ahead        50 %         90 %            5 %       95 %          border"]
-    for ahead in sorted({1, 5, 10, 25, 50, last} & set(range(1, last + 1))):
-        near, far = np.quantile(away[ahead], (0.5, 0.9))
-        small, large = 100 * np.quantile(side[ahead] / side[0], (0.05, 0.95))
-        border = 100 * at_border[ahead]
-        rows.append(f"{ahead:5d} {near:11.1f} {far:12.1f} {small:14.0f} {large:10.0f} {border:14.0f} %")
+    for horizon in sorted({1, 5, 10, 25, 50, last_frame} & set(range(1, last_frame + 1))):
+        median, upper = np.quantile(distance[horizon], (0.5, 0.9))
+        small, large = 100 * np.quantile(side[horizon] / side[0], (0.05, 0.95))
+        border = 100 * at_border[horizon]
+        rows.append(f"{horizon:5d} {median:11.1f} {upper:12.1f} {small:14.0f} {large:10.0f} {border:14.0f} %")
     return "\n".join(rows)
 
 

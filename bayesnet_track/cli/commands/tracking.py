@@ -81,7 +81,7 @@ class Spread:
 
 
 def spread_of(values: Sequence[float], confidence: float = 0.95) -> Spread:
-    """How values, one per seed, are spread; at least one.
+    """Spread of values, one per seed; at least one.
 
     The interval is that of the mean over seeds, as if the values were normal, and for these videos only.
 
@@ -162,31 +162,31 @@ def run_seeds(options: argparse.Namespace, once: Callable[[argparse.Namespace], 
             is_mot(options.truth, options.truth_format)  # a file that cannot be read is known at once
     rows, worst = [], OK
     for seed in range(options.seed, options.seed + options.seeds):
-        out = str(Path(options.out) / f"seed-{seed}")
-        changes = {"seed": seed, "out": out, "seeds": None, "truth": None, "json": False}
+        folder = str(Path(options.out) / f"seed-{seed}")
+        changes = {"seed": seed, "out": folder, "seeds": None, "truth": None, "json": False}
         changes["quiet"] = options.quiet or options.json
         code = once(argparse.Namespace(**{**vars(options), **changes}))
         if code not in (OK, INCOMPLETE):
             return code
         worst = max(worst, code)
         with users_mistake():
-            rows.append(row_of_run(options.graph, seed, out, truth, options.truth_format))
+            rows.append(row_of_run(options.graph, seed, folder, truth, options.truth_format))
     say_summary(rows, options, {"run": options.out})
     return worst
 
 
-def row_of_run(graph: str, seed: int, out: str, truth: str | None, form: TruthForm | None = None) -> Row:
-    """What was measured of a run; raises OSError, ValueError where a file cannot be read."""
+def row_of_run(graph: str, seed: int, folder: str, truth: str | None, form: TruthForm | None = None) -> Row:
+    """The measures of a run; raises OSError, ValueError where a file cannot be read."""
     from bayesnet_track.cli.batch.jobs import Job, Video
     from bayesnet_track.cli.batch.work import row_of
     from bayesnet_track.evaluate.runs import score_several
     from bayesnet_track.evaluate.truth import is_mot
 
     has_targets = truth is not None and is_mot(truth, form)
-    video = Video(out, "", truth=None if has_targets else truth)
-    row = row_of(Job(graph, video, seed, out, truth_format=form))
+    video = Video(folder, "", truth=None if has_targets else truth)
+    row = row_of(Job(graph, video, seed, folder, truth_format=form))
     if has_targets and truth is not None:
-        scores = score_several(Path(out), Path(truth), form)
+        scores = score_several(Path(folder), Path(truth), form)
         row |= {"mota": scores.mota, "idf1": scores.idf1, "hota": scores.hota}
     return row
 
@@ -231,7 +231,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"--end {options.end} must be greater than --start {options.start}")
     if options.video_side is not None and not options.video:
         raise UsageError("--video-side is for --video, which is not given")
-    out = run_folder(options.out)
+    folder = run_folder(options.out)
     graph = load_graph(options.graph)
     if options.set:
         graph = set_values(graph.text, options.set, True, graph.masks, graph.calibrations)
@@ -246,12 +246,12 @@ def run(options: argparse.Namespace) -> int:
     if graph.several_cameras:
         options.executing = executor_of(options)
         with users_mistake(), open_cameras_given(options, graph, options.executing) as cameras:
-            return track_source(options, graph, cameras, [], out, video=options.video)
+            return track_source(options, graph, cameras, [], folder, video=options.video)
     with users_mistake():
         options.source = str(source_or_times(options.source, graph, options.detections))
     with open_view(options) as view, open_given(options) as source:
         say_size(options, source)
-        return track_source(options, graph, source, starts, out, video=options.video, view=view)
+        return track_source(options, graph, source, starts, folder, video=options.video, view=view)
 
 
 def track_source(
@@ -259,11 +259,11 @@ def track_source(
     graph: CheckedGraph,
     source: FrameSource,
     starts: Sequence[Start],
-    out: Path,
+    folder: Path,
     video: bool | Literal["mkv", "mp4"],
     view: LiveView | None = None,
 ) -> int:
-    """Track from the start boxes and write the run to `out`; the exit code."""
+    """Track from the start boxes and write the run to `folder`; the exit code."""
     from bayesnet_track.runtime.given_scans import given_detector
     from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.results import Summary, replay_inputs
@@ -282,14 +282,14 @@ def track_source(
         with users_mistake():
             replay_inputs(Path(inputs))
     if view is not None:
-        chosen = begin(options, view, graph, source, starts, out)
-        if chosen is None:
+        selected = begin(options, view, graph, source, starts, folder)
+        if selected is None:
             return options.stop.exit_code or STOPPED
-        starts = chosen
+        starts = selected
     opaque = _opaque(graph)
     if opaque and options.checkpoint_every > 0:
         complain(
-            f"{out}: what {', '.join(opaque)} keeps cannot be stored: `resume` would begin this run anew"
+            f"{folder}: what {', '.join(opaque)} keeps cannot be stored: `resume` would begin this run anew"
         )
     summary = Summary()
     with rerun_sinks(getattr(options, "rerun", None), graph.spec.name, options.overwrite) as sinks:
@@ -298,7 +298,7 @@ def track_source(
                 graph,
                 source,
                 starts or None,
-                out=out,
+                out=folder,
                 seed=options.seed,
                 overwrite=options.overwrite,
                 video=video,
@@ -320,20 +320,22 @@ def track_source(
                 checkpoint_every=options.checkpoint_every,
                 max_side=getattr(options, "max_side", None),
             )
-        return follow(options, results, summary, source.expected_frames, out, view)
+        return follow(options, results, summary, source.expected_frames, folder, view)
 
 
 def _opaque(graph: CheckedGraph) -> list[str]:
     """Agents that keep what no checkpoint can hold."""
     from bayesnet_track.observation.cue import installed_cues
 
-    agents = {name: one.agent(name).agent.cue for one in graph.targets.values() for name in one.agents}
+    agents = {
+        name: target.agent(name).agent.cue for target in graph.targets.values() for name in target.agents
+    }
     cues = installed_cues(agents.values())
     return sorted(name for name, cue in agents.items() if cue in cues and cues[cue].opaque)
 
 
 def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None:
-    """What a frame may take, where the options say so."""
+    """Time that a frame may take, where the options limit it."""
     from bayesnet_track.runtime.results import interval_of
 
     if getattr(options, "realtime", False):
@@ -343,16 +345,16 @@ def _budget_ms(options: argparse.Namespace, source: FrameSource) -> float | None
 
 
 def executor_of(options: argparse.Namespace) -> Executing:
-    """How agents are asked, by the options of `add_executor_options`; raises UsageError."""
+    """The executor that asks agents, by the options of `add_executor_options`; raises UsageError."""
     from bayesnet_track.runtime.executors import Limits, PlacingError, make_executor, parse_places
     from bayesnet_track.runtime.stop import has_workers, no_workers
 
     if (options.executor == "processes" or options.hosts != "engine") and not has_workers():
         raise UsageError(no_workers())
-    patience, least = options.agent_timeout, Limits()
+    patience, defaults = options.agent_timeout, Limits()
     limits = Limits(
-        least.answer_s if patience is None else patience,
-        max(least.first_s, patience or 0.0),
+        defaults.answer_s if patience is None else patience,
+        max(defaults.first_s, patience or 0.0),
         options.agent_memory or 0,
         getattr(options, "allow_other_machine", False),
     )
