@@ -284,6 +284,21 @@ def test_a_time_at_which_no_camera_looked_is_no_miss(tmp_path):
     assert existence[False][1] < 0.9 * existence[False][0]
 
 
+def test_who_is_beside_the_image_of_the_only_camera_that_looks_is_not_missed(tmp_path):
+    """Who stands in it is: an image without detections says that nobody is there."""
+    ratios = {}
+    for x in (-6.0, 0.0):
+        tracker, place = DetectionsTracker(write_graph(tmp_path), fps=FPS), np.array([x, 5.0])
+        for frame in range(20):
+            tracker.update({"east": detections_of(boxes_of("east", place))}, time_s=frame / FPS)
+        (before,) = tracker.targets
+        for frame in (20, 21):
+            tracker.update({"south": detections_of(np.empty((0, 4)))}, time_s=frame / FPS)
+        ratios[x] = tracker.targets[0].existence / before.existence
+    assert ratios[-6.0] == pytest.approx(0.995 ** (2 / FPS), abs=1e-3)
+    assert ratios[0.0] < 0.9
+
+
 def test_sizes_are_those_of_the_calibrations(tmp_path):
     path = write_graph(tmp_path)
     with pytest.raises(ValueError, match=r"east.json: of 800x480 px, and the frames have 640x480 px"):

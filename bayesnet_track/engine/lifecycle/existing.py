@@ -162,6 +162,8 @@ def associate_marginal(
     visible = np.ones(len(cover))
     for row, expected in crowd.modes.items():
         visible[row] = expected.visible
+    if rule.camera:
+        visible *= rule.sensor.in_image(all_of.mean, all_of.covariance)
     weights = Weights.of(all_of.existence, presence, chain, visible)
     if not rule.is_first:  # a false alarm is one of the first sensor
         weights.detection[:, 3:] = 0.0

@@ -170,6 +170,10 @@ class FunctionSensor:
         """(T,) none: what has no extent hides nothing."""
         return np.zeros(len(mean))
 
+    def in_image(self, mean: Floats, covariance: Floats) -> Floats:
+        """Sure: a sensor has no border."""
+        return np.ones(len(mean))
+
     def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
         """Nothing has an extent here, so that no detection is on a target."""
         return np.zeros(len(found.values)), 1.0

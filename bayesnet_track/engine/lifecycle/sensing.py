@@ -126,6 +126,9 @@ class Sensor(Protocol):
     def cover(self, mean: Floats, existence: Floats) -> Floats:
         """(T,) how probable it is that another target covers each."""
 
+    def in_image(self, mean: Floats, covariance: Floats) -> Floats:
+        """(T,) probability that each is in what the sensor looks at."""
+
     def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
         """(N,) how probably a target covers each detection, and the share of the frame that is on targets."""
 
@@ -188,6 +191,10 @@ class BoxSensor:
 
         order = np.argsort(mean[:, 0] - mean[:, 2] / 2, kind="stable")
         return np.asarray(cover_rows(np.ascontiguousarray(mean), existence, order, COVERED))
+
+    def in_image(self, mean: Floats, covariance: Floats) -> Floats:
+        """Sure: motions keep targets inside."""
+        return np.ones(len(mean))
 
     def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
         """By the share of the detection that a predicted box covers."""

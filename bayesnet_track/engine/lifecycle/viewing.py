@@ -145,6 +145,20 @@ class ViewSensor:
         order = np.argsort(boxes[:, 0] - boxes[:, 2] / 2, kind="stable")
         return np.asarray(cover_rows(boxes, existence * seen, order, COVERED) * seen)
 
+    def in_image(self, mean: Floats, covariance: Floats) -> Floats:
+        """Probability that a part of its box is, a Gaussian in the image; 1 if its size is not known."""
+        from scipy.special import ndtr
+
+        size = self.view.camera.size
+        if size is None or not len(mean):
+            return np.ones(len(mean))
+        expected = self.expect(mean, covariance)
+        sd = np.sqrt(np.maximum(np.diagonal(expected.spread, axis1=1, axis2=2)[:, :2], 1e-12))
+        half, centres = expected.values[:, 2:] / 2.0, expected.values[:, :2]
+        low, high = (-0.5 - half - centres) / sd, (np.array(size) - 0.5 + half - centres) / sd
+        shares = ndtr(high) - ndtr(low)
+        return np.where(expected.is_known, shares.prod(axis=1), 0.0)
+
     def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
         """By the share of the detection that a predicted box covers in the image."""
         boxes = np.ascontiguousarray(self.boxes(mean))
