@@ -63,8 +63,8 @@ class Texts:
         order = order[order >= start]
         if (order[:-1] < order[1:]).all():
             return column
-        rest = np.setdiff1d(np.arange(start, len(self.texts)), order)
-        codes = np.concatenate([np.arange(start), order, rest])
+        unused = np.setdiff1d(np.arange(start, len(self.texts)), order)
+        codes = np.concatenate([np.arange(start), order, unused])
         keys = [*self._codes]
         self.texts = [self.texts[code] for code in codes]
         self._codes = {keys[code]: number for number, code in enumerate(codes)}
@@ -157,11 +157,11 @@ class Blocks:
 
     def read(self, start: int, end: int) -> Block:
         """The rows of the frames from `start` to before `end`."""
-        first, after = np.searchsorted(self.all_frames, [start, end]).tolist()
+        first, stop = np.searchsorted(self.all_frames, [start, end]).tolist()
         if not isinstance(self._lines, Measurements):
-            return self._of_lines(self._lines[first:after])
+            return self._of_lines(self._lines[first:stop])
         file, count = self._lines.file, len(self.texts["target"].texts)
-        block = self._of_places(file, file.places[first:after])
+        block = self._of_places(file, file.places[first:stop])
         self._lines.check_targets(self.texts["target"].texts[count:])
         return block
 
@@ -174,14 +174,14 @@ class Blocks:
 
     def _of_lines(self, lines: Sequence[FrameMetrics]) -> Block:
         columns = {} if not lines else all_columns(lines, CLOUD in self._names)
-        kept = {
+        selected = {
             name: self.texts[name].codes(column) if is_text(name) else column
             for name, column in columns.items()
             if name in self._names or f"{name.partition('/')[0]}/" in self._names
         }
-        if "time_s" in kept:
-            kept["time_s"] = np.array([line.time_s for line in lines], dtype=np.float64)
-        return Block(np.array([line.frame for line in lines], dtype=np.int64), kept)
+        if "time_s" in selected:
+            selected["time_s"] = np.array([line.time_s for line in lines], dtype=np.float64)
+        return Block(np.array([line.frame for line in lines], dtype=np.int64), selected)
 
     def _of_places(self, file: FrameFile, places: Sequence[Place]) -> Block:
         """Records with the same header stand below each other in one array, and are taken apart together."""
@@ -258,7 +258,7 @@ def spans(runs: Sequence[Blocks], end: int) -> Iterator[tuple[int, int]]:
     step, start = min(run.step for run in runs), 0
     while True:
         starts = [run.all_frames[run.all_frames >= start][:1] for run in runs]
-        start = int(min((one[0] for one in starts if len(one)), default=end))
+        start = int(min((frames[0] for frames in starts if len(frames)), default=end))
         if start >= end:
             return
         yield start, min(start + step, end)
@@ -349,8 +349,8 @@ class Course:
 
     def is_text(self, name: str, texts: Iterable[str]) -> NDArray[np.bool_]:
         """(N,) whether a column holds one of some texts."""
-        chosen = np.array([text in texts for text in self.texts.get(name, ())], dtype=bool)
-        return chosen[self.block.codes(name)] if len(self) else np.zeros(0, dtype=bool)
+        matching = np.array([text in texts for text in self.texts.get(name, ())], dtype=bool)
+        return matching[self.block.codes(name)] if len(self) else np.zeros(0, dtype=bool)
 
     @cached_property
     def is_gone(self) -> NDArray[np.bool_]:
@@ -382,8 +382,8 @@ def courses(
     Raises:
         JournalError: a record is damaged.
     """
-    wanted = frozenset(names)
-    blocks = Blocks(metrics, wanted)
+    selected = frozenset(names)
+    blocks = Blocks(metrics, selected)
     parts: dict[str, list[Block]] = {} if targets is None else {target: [] for target in targets}
     for block in blocks:
         codes = block.codes("target")
@@ -396,7 +396,7 @@ def courses(
             columns = {
                 name: column[..., rows]
                 for name, column in block.columns.items()
-                if name in wanted or f"{name.partition('/')[0]}/" in wanted
+                if name in selected or f"{name.partition('/')[0]}/" in selected
             }
             parts.setdefault(target, []).append(Block(block.frame[rows].astype(np.int32), columns))
     texts = {name: column.texts for name, column in blocks.texts.items()}

@@ -145,37 +145,37 @@ def field_names(kind: Any) -> Mapping[str, str]:
     return {key_of(item): item.name for item in fields(kind)}
 
 
-def _decode(value: Any, hint: Any, where: str) -> Any:
+def _decode(value: Any, hint: Any, place: str) -> Any:
     if type(value) is hint and (hint is not int or -LARGEST <= value <= LARGEST):
         return value
     shape, inner = _shape(hint)
     if shape == "union":
-        return None if _absent(inner, value) else _decode(value, _member_with(inner, value), where)
+        return None if _absent(inner, value) else _decode(value, _member_with(inner, value), place)
     if shape == "tuple" and isinstance(value, list):
         hints = _per_item(inner, value)
         if tuple(map(type, value)) == hints:  # as most are: nothing is left to decode
             return tuple(value)
         if len(hints) == len(value):
-            return tuple(_decode(item, h, where) for item, h in zip(value, hints, strict=True))
+            return tuple(_decode(item, h, place) for item, h in zip(value, hints, strict=True))
     elif shape == "mapping" and isinstance(value, dict):
-        return {key: _decode(item, inner[1], where) for key, item in value.items()}
+        return {key: _decode(item, inner[1], place) for key, item in value.items()}
     elif is_dataclass(hint) and isinstance(value, dict):
-        return _decode_object(value, hint, where)
+        return _decode_object(value, hint, place)
     elif hint is float and isinstance(value, str) and value in NON_FINITE:
         return NON_FINITE[value]
     elif hint is float and isinstance(value, int | float) and not isinstance(value, bool):
         with suppress(OverflowError):  # an integer of more than 308 digits
             return float(value)
-    raise JournalError(f"{where}: {short(repr(value))} is not {getattr(hint, '__name__', hint)}")
+    raise JournalError(f"{place}: {short(repr(value))} is not {getattr(hint, '__name__', hint)}")
 
 
-def _decode_object(values: Mapping[str, Any], kind: Any, where: str) -> Any:
+def _decode_object(values: Mapping[str, Any], kind: Any, place: str) -> Any:
     hints, names = type_hints(kind), field_names(kind)
     unknown, missing = values.keys() - names.keys(), _needed(kind) - values.keys()
     if unknown or missing:
-        raise JournalError(f"{where}: unknown fields {sorted(unknown)}, missing fields {sorted(missing)}")
+        raise JournalError(f"{place}: unknown fields {sorted(unknown)}, missing fields {sorted(missing)}")
     return kind(
-        **{names[key]: _decode(value, hints[names[key]], f"{where}.{key}") for key, value in values.items()}
+        **{names[key]: _decode(value, hints[names[key]], f"{place}.{key}") for key, value in values.items()}
     )
 
 

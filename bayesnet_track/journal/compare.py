@@ -63,7 +63,7 @@ def find_moments(
 ) -> tuple[int, tuple[Moment, ...]]:
     """The number of decisions that both runs took in the same frame, and the moments in which they part."""
     agreed, moments = 0, []
-    named = max(len(_types(one)) for one in (first, second)) > 1
+    named = max(len(_types(decisions)) for decisions in (first, second)) > 1
     mine = _by_place(first, {a: (a, b) for a, b in pairs}, lambda target: (target, ""))
     theirs = _by_place(second, {b: (a, b) for a, b in pairs}, lambda target: ("", target))
     for place in dict.fromkeys([*mine, *theirs]):
@@ -72,49 +72,49 @@ def find_moments(
         agreed += len(same)
         shifted, rest_a, rest_b = _match(rest_a, rest_b, SHIFT, named)
         moments += [Moment(min(x.frame, y.frame), *place, (x,), (y,)) for x, y in shifted]
-        alone: dict[int, tuple[list[Decision], list[Decision]]] = {}
-        for side, rest in enumerate((rest_a, rest_b)):
-            for event in rest:
-                alone.setdefault(event.frame, ([], []))[side].append(event)
-        moments += [Moment(frame, *place, tuple(x), tuple(y)) for frame, (x, y) in alone.items()]
+        unmatched: dict[int, tuple[list[Decision], list[Decision]]] = {}
+        for side, events in enumerate((rest_a, rest_b)):
+            for event in events:
+                unmatched.setdefault(event.frame, ([], []))[side].append(event)
+        moments += [Moment(frame, *place, tuple(x), tuple(y)) for frame, (x, y) in unmatched.items()]
     return agreed, tuple(sorted(moments, key=lambda moment: (moment.frame, moment.pair, moment.node)))
 
 
 def _by_place(
-    decisions: Iterable[Decision], pairs: Mapping[str, Pair], alone: Callable[[str], Pair]
+    decisions: Iterable[Decision], pairs: Mapping[str, Pair], unpaired: Callable[[str], Pair]
 ) -> dict[tuple[Pair, str], list[Decision]]:
     """(ids of the target in both runs, node) -> the decisions of one run in order."""
-    found: dict[tuple[Pair, str], list[Decision]] = defaultdict(list)
+    decided: dict[tuple[Pair, str], list[Decision]] = defaultdict(list)
     for event in decisions:
         node = getattr(event, "node", "")
         if isinstance(event, Joined | Parted):
-            other = pairs.get(event.other) or alone(event.other)
-            node = other[0] or f"{other[1]} of B"
-        found[pairs.get(event.target) or alone(event.target), node].append(event)
-    return found
+            pair = pairs.get(event.other) or unpaired(event.other)
+            node = pair[0] or f"{pair[1]} of B"
+        decided[pairs.get(event.target) or unpaired(event.target), node].append(event)
+    return decided
 
 
 def _match(
-    a: Sequence[Decision], b: Sequence[Decision], within: int, named: bool
+    a: Sequence[Decision], b: Sequence[Decision], max_gap: int, named: bool
 ) -> tuple[list[tuple[Decision, Decision]], list[Decision], list[Decision]]:
-    """Decisions of the same effect at most `within` frames apart, the nearest first; and what is left."""
+    """Decisions of the same effect at most `max_gap` frames apart, the nearest first; and what is left."""
     frames = [event.frame for event in b]  # in order, as a journal is
-    near = [
+    candidates = [
         (abs(x.frame - b[j].frame), i, j)
         for i, x in enumerate(a)
-        for j in range(bisect_left(frames, x.frame - within), bisect_right(frames, x.frame + within))
+        for j in range(bisect_left(frames, x.frame - max_gap), bisect_right(frames, x.frame + max_gap))
         if _effect(x, named) == _effect(b[j], named)
     ]
-    used: dict[int, int] = {}
-    taken: set[int] = set()
-    for _, i, j in sorted(near):
-        if i not in used and j not in taken:
-            used[i] = j
-            taken.add(j)
+    matches: dict[int, int] = {}
+    matched: set[int] = set()
+    for _, i, j in sorted(candidates):
+        if i not in matches and j not in matched:
+            matches[i] = j
+            matched.add(j)
     return (
-        [(a[i], b[j]) for i, j in sorted(used.items())],
-        [event for i, event in enumerate(a) if i not in used],
-        [event for j, event in enumerate(b) if j not in taken],
+        [(a[i], b[j]) for i, j in sorted(matches.items())],
+        [event for i, event in enumerate(a) if i not in matches],
+        [event for j, event in enumerate(b) if j not in matched],
     )
 
 
@@ -194,19 +194,19 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
     """
     runs = first, second
     sides = [Blocks(run.metrics, COLUMNS) for run in runs]
-    last = [max(side.last, *run.seconds, -1) for side, run in zip(sides, runs, strict=True)]
-    end = min(last) + 1
+    last_frames = [max(side.last, *run.seconds, -1) for side, run in zip(sides, runs, strict=True)]
+    end = min(last_frames) + 1
     events = [[event for event in run.events if getattr(event, "frame", 0) < end] for run in runs]
     pairs = pair_targets(events, [Blocks(run.metrics, ["box"]) for run in runs], end)
     decisions = [[event for event in of_run if isinstance(event, Decision)] for of_run in events]
     agreed, moments = find_moments(decisions[0], decisions[1], pairs)
-    apart, figures = Apart(pairs, sides), [Figures(side) for side in sides]
+    separation, figures = Apart(pairs, sides), [Figures(side) for side in sides]
     evidence, predictive = Evidence(), Predictive()
     for span in spans(sides, end):
         blocks = [side.read(*span) for side in sides]
         for of_run, block in zip(figures, blocks, strict=True):
             of_run.add(block)
-        rows = apart.add(blocks[0], blocks[1])
+        rows = separation.add(blocks[0], blocks[1])
         evidence.add(blocks[0], blocks[1], *rows)
         predictive.add(blocks[0], blocks[1], *rows)
     ids = [target_ids(of_run) for of_run in events]
@@ -225,10 +225,10 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
         ),
         agreed=agreed,
         moments=moments,
-        distances=apart.distances(),
-        first_apart=apart.first_apart,
+        distances=separation.distances(),
+        first_apart=separation.first_apart,
         totals=tuple(Total(name, a[name], b[name], True if name in better else None) for name in a),
         evidence=evidence.total(),
-        last_frames=(last[0], last[1]),
+        last_frames=(last_frames[0], last_frames[1]),
         predictive=predictive.totals(),
     )

@@ -94,11 +94,11 @@ def pair_targets(runs: Sequence[Sequence[Event]], sides: Sequence[Blocks], end: 
     if len(pairs) < min(map(len, ids)):
         for span in spans(sides, end):
             together.update(_together([side.read(*span) for side in sides], sides, {*pairs}))
-    taken = {*pairs.values()}
+    paired = {*pairs.values()}
     for (mine, theirs), _ in sorted(together.items(), key=lambda item: (-item[1], item[0])):
-        if mine not in pairs and theirs not in taken:
+        if mine not in pairs and theirs not in paired:
             pairs[mine] = theirs
-            taken.add(theirs)
+            paired.add(theirs)
     return tuple((target, pairs[target]) for target in ids[0] if target in pairs)
 
 
@@ -106,8 +106,10 @@ def _together(blocks: Sequence[Block], sides: Sequence[Blocks], without: set[str
     """Frames in which the boxes of two targets, one of each run, are near each other."""
     frames, boxes, targets = [], [], []
     for block, side in zip(blocks, sides, strict=True):
-        known = side.texts["target"].texts
-        is_wanted = np.array([name not in without for name in known], dtype=bool)[block.codes("target")]
+        target_names = side.texts["target"].texts
+        is_wanted = np.array([name not in without for name in target_names], dtype=bool)[
+            block.codes("target")
+        ]
         frames.append(block.frame[is_wanted])
         boxes.append(block.numbers("box")[:, is_wanted] if len(block) else np.zeros((4, 0)))
         targets.append(block.codes("target")[is_wanted])
@@ -117,9 +119,9 @@ def _together(blocks: Sequence[Block], sides: Sequence[Blocks], without: set[str
     bounds = [np.searchsorted(of_run, [common, common + 1]).T.tolist() for of_run in frames]
     for mine, theirs in zip(*bounds, strict=True):
         a, b = slice(*mine), slice(*theirs)
-        across, down = (boxes[0][axis, a, None] - boxes[1][axis, b] for axis in (0, 1))
+        dx, dy = (boxes[0][axis, a, None] - boxes[1][axis, b] for axis in (0, 1))
         size = NEAR**2 * sides_px[0][a, None] * sides_px[1][b]
-        i, j = np.nonzero(across * across + down * down < size)
+        i, j = np.nonzero(dx * dx + dy * dy < size)
         met.append(targets[0][a][i].astype(np.int64) << 32 | targets[1][b][j])
     if not met:
         return Counter()
@@ -146,8 +148,8 @@ class Apart:
         """Measure the frames of a block; gives the rows of the same pair and frame in both."""
         keys = [self._keys(block, side) for side, block in enumerate((first, second))]
         order = np.argsort(keys[1], kind="stable")
-        after = np.searchsorted(keys[1], keys[0], sorter=order)
-        theirs = order[np.minimum(after, len(order) - 1)] if len(order) else np.zeros(0, np.int64)
+        position = np.searchsorted(keys[1], keys[0], sorter=order)
+        theirs = order[np.minimum(position, len(order) - 1)] if len(order) else np.zeros(0, np.int64)
         is_shared = (
             (keys[1][theirs] == keys[0]) & (keys[0] >= 0) if len(order) else np.zeros(len(first), bool)
         )
@@ -212,14 +214,17 @@ class Evidence:
         names = [name for name in {**first.columns, **second.columns} if name.startswith("kl/")]
         if not names or not len(mine):
             return
-        heard = [
+        reported = [
             np.stack([~is_absent(block.numbers(name)[rows]) for name in names])
             for block, rows in ((first, mine), (second, theirs))
         ]
         values = [first.numbers("log_evidence")[mine], second.numbers("log_evidence")[theirs]]
-        is_heard = heard[0].any(axis=0) | heard[1].any(axis=0)
+        is_heard = reported[0].any(axis=0) | reported[1].any(axis=0)
         counts = (
-            is_heard & (heard[0] == heard[1]).all(axis=0) & np.isfinite(values[0]) & np.isfinite(values[1])
+            is_heard
+            & (reported[0] == reported[1]).all(axis=0)
+            & np.isfinite(values[0])
+            & np.isfinite(values[1])
         )
         self._common += int(is_heard.sum())
         self._frames += int(counts.sum())
@@ -250,13 +255,20 @@ class Predictive:
 
     def add(self, first: Block, second: Block, mine: Rows, theirs: Rows) -> None:
         """Add rows of the same pair and frame."""
-        names = [one for one in first.columns if one.startswith("log_predictive/") and one in second.columns]
+        names = [
+            column
+            for column in first.columns
+            if column.startswith("log_predictive/") and column in second.columns
+        ]
         for name in names if len(mine) else ():
             values = [first.numbers(name)[mine], second.numbers(name)[theirs]]
             counts = ~is_absent(values[0]) & ~is_absent(values[1])
             if counts.any():
                 sums = self._sums.setdefault(name.partition("/")[2], [0.0, 0.0])
-                sums[:] = [total + float(one[counts].sum()) for total, one in zip(sums, values, strict=True)]
+                sums[:] = [
+                    total + float(run_values[counts].sum())
+                    for total, run_values in zip(sums, values, strict=True)
+                ]
                 self._frames[name.partition("/")[2]] += int(counts.sum())
 
     def totals(self) -> tuple[Total, ...]:
@@ -287,7 +299,9 @@ class Figures:
         if not len(block):
             return
         keys = block.codes("target").astype(np.int64) << 32 | block.codes("active")
-        for key, count in zip(*(one.tolist() for one in np.unique(keys, return_counts=True)), strict=True):
+        for key, count in zip(
+            *(array.tolist() for array in np.unique(keys, return_counts=True)), strict=True
+        ):
             self._used[key >> 32, key & 0xFFFF_FFFF] += count
         self._particles += int(block.columns["particles"].sum())
         statuses = self._side.texts["status"].texts
@@ -312,7 +326,7 @@ class Figures:
             for agent in self._side.texts["active"].texts[active].split():
                 agents[plate, agent] += frames
         declared = [(costs_ms.get(agent), frames) for agent, frames in agents.items()]
-        known = [cost * frames for cost, frames in declared if cost is not None]
+        costs = [cost * frames for cost, frames in declared if cost is not None]
         # The first frame of a process pays for compiling and loading.
         measured = sorted(value for frame, value in seconds.items() if frame != min(seconds))
         uds = np.concatenate([np.zeros(0, np.float32), *self._uds])
@@ -325,7 +339,7 @@ class Figures:
             "frames": float(count),
             "targets": float(len(target_ids(events))),
             "agents per frame": per_frame(sum(agents.values())),
-            "declared ms per frame": per_frame(math.fsum(known)) if len(known) == len(declared) else None,
+            "declared ms per frame": per_frame(math.fsum(costs)) if len(costs) == len(declared) else None,
             "measured ms per frame": 1000 * sum(measured) / len(measured) if measured else None,
             "measured ms, median frame": 1000 * measured[len(measured) // 2] if measured else None,
             "hypotheses per frame": per_frame(self._particles),

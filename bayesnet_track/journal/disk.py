@@ -38,9 +38,9 @@ def open_raw(path: Path, mode: str) -> FileIO:
 
 def write_whole(file: FileIO, data: bytes | memoryview) -> None:
     """Write all of `data`, however often the system takes only a part."""
-    view, done = memoryview(data), 0
-    while done < len(view):
-        done += file.write(view[done:]) or 0
+    view, written = memoryview(data), 0
+    while written < len(view):
+        written += file.write(view[written:]) or 0
 
 
 class LostFileError(OSError):
@@ -57,18 +57,18 @@ def check_held(file: FileIO, path: Path, size: int) -> None:
         LostFileError: says what happened to it.
         OSError: the system cannot say.
     """
-    own = os.fstat(file.fileno())
-    if not stat.S_ISREG(own.st_mode):
+    opened = os.fstat(file.fileno())
+    if not stat.S_ISREG(opened.st_mode):
         return
     try:
         named = path.stat()
     except FileNotFoundError:
         raise LostFileError("it was removed or renamed while it was being written") from None
-    if not os.path.samestat(own, named):
+    if not os.path.samestat(opened, named):
         raise LostFileError("another file has taken its place while it was being written")
-    if own.st_size != size:
+    if opened.st_size != size:
         raise LostFileError(
-            f"something else changed it while it was being written: it has {own.st_size} bytes, not {size}"
+            f"something else changed it while it was being written: it has {opened.st_size} bytes, not {size}"
         )
 
 

@@ -46,10 +46,10 @@ def encode_clouds(lists: Any) -> list[EncodedCloud]:
 
     numbers, size = iter(lists.ravel().tolist()), lists.shape[1]
     rows = [*zip(numbers, numbers, numbers, numbers, strict=True)]
-    found = [EncodedCloud(rows[first : first + size]) for first in range(0, len(rows), size)]
-    for one, text in zip(found, texts_of(lists), strict=True):
-        one.text = text
-    return found
+    clouds = [EncodedCloud(rows[first : first + size]) for first in range(0, len(rows), size)]
+    for cloud, text in zip(clouds, texts_of(lists), strict=True):
+        cloud.text = text
+    return clouds
 
 
 class JournalError(ValueError):
@@ -61,24 +61,24 @@ def key_of(item: Field[Any]) -> str:
     return str(item.metadata.get("key", item.name))
 
 
-def _encoder_of(hint: Any, where: str) -> Encoder:
+def _encoder_of(hint: Any, place: str) -> Encoder:
     """Raises, when it writes, TypeError, ValueError or KeyError where a value is not of the type."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (types.UnionType, Union):
-        return _of_union(inner, where)
+        return _of_union(inner, place)
     if origin is tuple:
-        return _of_list(inner[0], where) if inner[-1] is Ellipsis else _of_tuple(inner, where)
+        return _of_list(inner[0], place) if inner[-1] is Ellipsis else _of_tuple(inner, place)
     if origin is not None and issubclass(origin, Mapping):
-        return _of_mapping(inner[1], where)
+        return _of_mapping(inner[1], place)
     if is_dataclass(hint):
-        return _of_dataclass(hint, where)
+        return _of_dataclass(hint, place)
     return _SIMPLE[hint]
 
 
-def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
+def members_encoder(kind: Any, place: str) -> Callable[[Any], list[str]]:
     """A writer of the objects of a dataclass: `"name": value` of each field, in order.
 
-    `where` names the object in errors. The function that is returned raises:
+    `place` names the object in errors. The function that is returned raises:
         JournalError: a value is not of its field's type.
     """
     hints = get_type_hints(kind)
@@ -87,7 +87,7 @@ def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
             item.name,
             hints[item.name],
             f"{encode_basestring_ascii(key_of(item))}: ",
-            _encoder_of(hints[item.name], f"{where}.{item.name}"),
+            _encoder_of(hints[item.name], f"{place}.{item.name}"),
             _left_out(item),
         )
         for item in fields(kind)
@@ -97,15 +97,15 @@ def members_encoder(kind: Any, where: str) -> Callable[[Any], list[str]]:
 
     def members(value: Any) -> list[str]:
         encode_clouds = []
-        for one, (name, hint, key, encode, left_out) in zip(values_of(value), parts, strict=False):
-            if left_out is not _NOTHING and one == left_out:
+        for member, (name, hint, key, encode, left_out) in zip(values_of(value), parts, strict=False):
+            if left_out is not _NOTHING and member == left_out:
                 continue
             try:
-                encode_clouds.append(key + encode(one))
+                encode_clouds.append(key + encode(member))
             except JournalError:
                 raise
             except (TypeError, ValueError, KeyError) as error:
-                raise JournalError(f"{where}.{name}: {short(repr(one))} is not {hint}: {error}") from error
+                raise JournalError(f"{place}.{name}: {short(repr(member))} is not {hint}: {error}") from error
         return encode_clouds
 
     return members
@@ -118,8 +118,8 @@ def _left_out(item: Field[Any]) -> Any:
     return item.default if item.default_factory is MISSING else item.default_factory()
 
 
-def _of_dataclass(hint: Any, where: str) -> Encoder:
-    members = members_encoder(hint, where)
+def _of_dataclass(hint: Any, place: str) -> Encoder:
+    members = members_encoder(hint, place)
 
     def encode(value: Any) -> str:
         if type(value) is not hint:
@@ -129,9 +129,9 @@ def _of_dataclass(hint: Any, where: str) -> Encoder:
     return encode
 
 
-def _of_union(inner: tuple[Any, ...], where: str) -> Encoder:
+def _of_union(inner: tuple[Any, ...], place: str) -> Encoder:
     """By the member of the union that a value is of; the first when it is of none."""
-    encoders = {kind: _encoder_of(kind, where) for kind in inner if kind is not types.NoneType}
+    encoders = {kind: _encoder_of(kind, place) for kind in inner if kind is not types.NoneType}
     first = encoders.get(inner[0], _none)
     if types.NoneType in inner:
         encoders[types.NoneType] = _none
@@ -142,32 +142,32 @@ def _of_union(inner: tuple[Any, ...], where: str) -> Encoder:
     return encode
 
 
-def _of_list(item: Any, where: str) -> Encoder:
+def _of_list(item: Any, place: str) -> Encoder:
     if item is int:
         return _ints
     if item is float:
         return _floats
     if item == tuple[int, ...]:
         return _int_lists
-    encode_item = _encoder_of(item, where)
+    encode_item = _encoder_of(item, place)
 
     def encode(value: Any) -> str:
-        return f"[{', '.join([encode_item(one) for one in value])}]"
+        return f"[{', '.join([encode_item(part) for part in value])}]"
 
     return encode
 
 
-def _of_tuple(items: tuple[Any, ...], where: str) -> Encoder:
-    encoders = [_encoder_of(item, where) for item in items]
+def _of_tuple(items: tuple[Any, ...], place: str) -> Encoder:
+    encoders = [_encoder_of(item, place) for item in items]
 
     def encode(value: Any) -> str:
-        return f"[{', '.join([one(part) for one, part in zip(encoders, value, strict=True)])}]"
+        return f"[{', '.join([encoder(part) for encoder, part in zip(encoders, value, strict=True)])}]"
 
     return encode
 
 
-def _of_mapping(item: Any, where: str) -> Encoder:
-    encode_item = _encoder_of(item, where)
+def _of_mapping(item: Any, place: str) -> Encoder:
+    encode_item = _encoder_of(item, place)
 
     def encode(value: Any) -> str:
         return f"{{{', '.join([f'{_key(key)}: {encode_item(value[key])}' for key in sorted(value)])}}}"
@@ -200,7 +200,7 @@ def _int(value: Any) -> str:
 
 
 def _ints(value: Any) -> str:
-    numbers = [operator.index(one) for one in value]
+    numbers = [operator.index(number) for number in value]
     if {*map(type, numbers)} <= {int}:
         return repr(numbers)
     return f"[{', '.join(map(_int, numbers))}]"

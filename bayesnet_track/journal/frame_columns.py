@@ -256,8 +256,8 @@ def identity_column(identities: Sequence[Mapping[str, float]]) -> dict[str, NDAr
     """The column of who may be whom; none where nobody is doubtful."""
     if not any(identities):
         return {}
-    rounded = [{name: round(share, 4) for name, share in one.items()} for one in identities]
-    return {"identities": texts(json.dumps(one) if one else "" for one in rounded)}
+    rounded = [{name: round(share, 4) for name, share in shares.items()} for shares in identities]
+    return {"identities": texts(json.dumps(shares) if shares else "" for shares in rounded)}
 
 
 def _identities_of(columns: Columns, count: int) -> list[dict[str, float]]:

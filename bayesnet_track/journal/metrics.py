@@ -220,11 +220,11 @@ class FrameMetrics(HasBox):
     @property
     def categories(self) -> dict[str, dict[str, float]]:
         """Probability of each value of each category: ``categories["team"]["red"]``."""
-        found: dict[str, dict[str, float]] = {}
+        by_name: dict[str, dict[str, float]] = {}
         for key, probability in self.category.items():
             name, _, value = key.partition("=")
-            found.setdefault(name, {})[value] = probability
-        return found
+            by_name.setdefault(name, {})[value] = probability
+        return by_name
 
     e_value: float | None = field(default=None, metadata={"left_out_when_empty": True})
     p_values: Mapping[str, float] = field(default_factory=dict, metadata={"left_out_when_empty": True})

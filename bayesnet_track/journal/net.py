@@ -98,8 +98,8 @@ def apply_decisions(net: Net, decisions: Iterable[Decision]) -> Net:
         elif isinstance(decision, STARTS):
             targets[decision.target] = TargetNet(decision.template, frozenset(decision.active))
         else:
-            after = decision.change(targets[decision.target])
-            targets[decision.target] = _without_vain_samples(after) if after.sampled else after
+            target_net = decision.change(targets[decision.target])
+            targets[decision.target] = _without_vain_samples(target_net) if target_net.sampled else target_net
     return Net(MappingProxyType(targets), MappingProxyType(joined))
 
 
@@ -139,8 +139,10 @@ def _join(
 
 def _without_vain_samples(net: TargetNet) -> TargetNet:
     """Only agents that a rule switched off are sampled: none that failed, are shed or switched by hand."""
-    out = (net.active, net.quarantined, net.by_hand, net.shed)
-    sampled = {a: every for a, every in net.sampled.items() if not any(a in agents for agents in out)}
+    unavailable = (net.active, net.quarantined, net.by_hand, net.shed)
+    sampled = {
+        a: interval for a, interval in net.sampled.items() if not any(a in agents for agents in unavailable)
+    }
     return net if len(sampled) == len(net.sampled) else replace(net, sampled=sampled)
 
 

@@ -124,11 +124,11 @@ class Measurements(Sequence[FrameMetrics]):
     def __getitem__(self, index: int | slice) -> FrameMetrics | Sequence[FrameMetrics]:
         if isinstance(index, slice):
             return tuple(self[number] for number in range(len(self))[index])
-        at = range(len(self))[index]
-        number = bisect_right(self._ends, at)
+        position = range(len(self))[index]
+        number = bisect_right(self._ends, position)
         if self._last[0] != number:
             self._last = number, self._read(number)
-        return self._last[1][at - self._ends[number]]
+        return self._last[1][position - self._ends[number]]
 
     def check_targets(self, targets: Iterable[str]) -> None:
         """Raise JournalError for the first of some targets that never starts."""
@@ -153,7 +153,9 @@ class Measurements(Sequence[FrameMetrics]):
 def lines_of_frame(metrics: Sequence[FrameMetrics], frame: int) -> Sequence[FrameMetrics]:
     """The lines of one frame, of measurements in the order of frames."""
     start = bisect_left(metrics, frame, key=lambda line: line.frame)
-    return [*takewhile(lambda line: line.frame == frame, (metrics[at] for at in range(start, len(metrics))))]
+    return [
+        *takewhile(lambda line: line.frame == frame, (metrics[row] for row in range(start, len(metrics))))
+    ]
 
 
 def read_inputs(path: Path, notice: Notice | None = None) -> Iterator[Input]:
@@ -191,10 +193,10 @@ def check_line(event: Any) -> None:
         JournalError: names the field, what it is and what it may be.
     """
     kind: Any = type(event)  # a class of events is hashable, whatever mypy says of Any
-    for name, is_valid, what in _checks_of(kind):
+    for name, is_valid, requirement in _checks_of(kind):
         value = getattr(event, name)
         if not is_valid(value):
-            raise JournalError(f"{name}: {short(repr(value))} is not {what}")
+            raise JournalError(f"{name}: {short(repr(value))} is not {requirement}")
 
 
 def _is_count(value: int | None) -> bool:

@@ -80,11 +80,11 @@ class TargetNet:
         """The agents that look at this tracked frame: those switched on, and those whose sample is due."""
         if not self.sampled:
             return self.active
-        return self.active | {agent for agent, every in self.sampled.items() if ordinal % every == 0}
+        return self.active | {agent for agent, interval in self.sampled.items() if ordinal % interval == 0}
 
     def shed_without(self, agent: str) -> tuple[str, ...]:
         """The agents that are shed, but for one."""
-        return tuple(one for one in self.shed if one != agent)
+        return tuple(name for name in self.shed if name != agent)
 
 
 @dataclass(frozen=True)

@@ -52,16 +52,16 @@ class BeliefReset:
 
     def describe(self) -> str:
         """A belief that was reset."""
-        gamma, below = distinct_texts(self.gamma, self.below)
+        gamma, level = distinct_texts(self.gamma, self.below)
         over = "the belief's bounding box" if self.region == "belief" else "the image"
-        then = (
+        effect = (
             f"the belief of target {self.target} starts again from the frame's likelihood"
             if self.action == "reset"
             else "the frame's evidence is ignored"
         )
         turning = round_away(self.gamma, decimals(self.gamma, self.below), up=False)
-        found = f"γ {gamma} < {below} over {over} ({self.region_px2:.0f} px²)"
-        return f"{found} → {then}; would not have happened at below ≤ {turning}"
+        evidence = f"γ {gamma} < {level} over {over} ({self.region_px2:.0f} px²)"
+        return f"{evidence} → {effect}; would not have happened at below ≤ {turning}"
 
 
 @dataclass(frozen=True)
@@ -94,15 +94,15 @@ class MeasurementGated:
     def describe(self) -> str:
         """A measurement that is taken for another object."""
         d2, limit = distinct_texts(self.d2, self.limit)
-        of = plural(self.degrees, "degree")
-        then = "" if self.used else "; nothing else was measured near the prediction"
+        degrees = plural(self.degrees, "degree")
+        remark = "" if self.used else "; nothing else was measured near the prediction"
         # Rounded up, so that the gate named does let it pass.
         digits = min(max(2, math.ceil(-math.log10(max(1.0 - self.turning, 1e-300)))), 12)
         turning = math.ceil(self.turning * 10.0**digits) / 10.0**digits
         gate = f"gate ≥ {turning:.12g}" if turning < 1 else "gate: 1"
         return (
-            f"{self.node} measured d² {d2} > {limit} from the prediction (gate {self.gate:g}, {of} of "
-            f"freedom) → not used{then}; would have been used at {gate}"
+            f"{self.node} measured d² {d2} > {limit} from the prediction (gate {self.gate:g}, {degrees} of "
+            f"freedom) → not used{remark}; would have been used at {gate}"
         )
 
 
@@ -152,25 +152,25 @@ class Reappeared:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        held, level = distinct_texts(self.held, self.level)
-        ud, above = distinct_texts(self.ud_px2, self.above_px2)
+        share, level = distinct_texts(self.held, self.level)
+        ud, ud_level = distinct_texts(self.ud_px2, self.above_px2)
         unsure = ""
         if self.above_px2 > 0:
-            unsure = f"UD {ud} px² {'>' if self.ud_px2 > self.above_px2 else '≤'} {above}; "
+            unsure = f"UD {ud} px² {'>' if self.ud_px2 > self.above_px2 else '≤'} {ud_level}; "
         if self.fit is not None and self.below_fit is not None:
-            fit, below = distinct_texts(self.fit, self.below_fit)
-            unsure = f"fit {fit} < {below} of the usual one; "
+            fit, fit_level = distinct_texts(self.fit, self.below_fit)
+            unsure = f"fit {fit} < {fit_level} of the usual one; "
         turning = round_away(self.turning, decimals(self.turning, self.share), up=False)
         how = "evenly" if self.by == "uniform" else f"by {self.by}"
-        where = "the whole frame"
+        area = "the whole frame"
         if self.within_px is not None:
-            where = f"up to {self.within_px:.0f} px around its last place"
-        found = f"{self.by} searched {where} and found the target with probability {held} > {level}"
+            area = f"up to {self.within_px:.0f} px around its last place"
+        evidence = f"{self.by} searched {area} and found the target with probability {share} > {level}"
         if self.hypotheses > 0:
-            who = f"{self.hypotheses} hypotheses searched {where}, {how}"
-            found = f"{who}, and hold {held} > {level} of the belief"
+            who = f"{self.hypotheses} hypotheses searched {area}, {how}"
+            evidence = f"{who}, and hold {share} > {level} of the belief"
         return (
-            f"{unsure}{found} → target {self.target} reappears at "
+            f"{unsure}{evidence} → target {self.target} reappears at "
             f"{self.x:.4g}, {self.y:.4g}, {self.moved_px:.3g} px away; would not have at share ≤ {turning}"
         )
 
@@ -275,11 +275,11 @@ class ParticlesResized:
     def describe(self) -> str:
         """The number of hypotheses that are asked for, and why."""
         settings = f"{self.method}, {self.setting} {self.level:g}"
-        by = "this frame's evidence" if self.early else "the last frame's evidence"
-        asked = f"{_why_so_many(self)}: {by} asks for {self.need:.0f} hypotheses ({settings})"
-        held = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to reduce it"}
-        number = f"{self.particles}{held.get(self.limit, '')}, {self.before} before"
-        return f"{asked} → {number}{_not_resized(self)}"
+        source = "this frame's evidence" if self.early else "the last frame's evidence"
+        demand = f"{_why_so_many(self)}: {source} asks for {self.need:.0f} hypotheses ({settings})"
+        bounds = {"max": ", held by max", "min": ", held by min", "ess": ", too few effective to reduce it"}
+        number = f"{self.particles}{bounds.get(self.limit, '')}, {self.before} before"
+        return f"{demand} → {number}{_not_resized(self)}"
 
 
 @dataclass(frozen=True)
@@ -310,11 +310,11 @@ class SecondPass:
 
     def describe(self) -> str:
         """Hypotheses drawn a second time."""
-        found, level = distinct_texts(self.kl, self.above_kl)
+        kl, level = distinct_texts(self.kl, self.above_kl)
         how = "" if self.method == "second_pass" else f", by {self.method}"
         turning = round_away(self.kl, decimals(self.kl, self.above_kl), up=True)
         return (
-            f"KL(posterior, prior) {found} nats > {level} → second pass of {self.particles} hypotheses{how}, "
+            f"KL(posterior, prior) {kl} nats > {level} → second pass of {self.particles} hypotheses{how}, "
             f"{self.ess_first:.0f} effective before, {self.ess:.0f} after; "
             f"no second pass at above_kl ≥ {turning}"
         )

@@ -29,9 +29,9 @@ class ClockLearnt:
         """The sentence of the event, without its frame."""
         way = "late" if self.offset_s >= 0 else "early"
         places = 3 if self.sd_s >= 0.002 else 4
-        now, sd = f"{abs(self.offset_s):.{places}f}", f"{self.sd_s:.{places}f}"
-        before = f"{self.before_s:+.{places}f} ± {self.before_sd_s:.{places}f} s"
-        return f"clock of camera {self.camera}: {now} ± {sd} s {way} (before {before})"
+        offset, sd = f"{abs(self.offset_s):.{places}f}", f"{self.sd_s:.{places}f}"
+        previous = f"{self.before_s:+.{places}f} ± {self.before_sd_s:.{places}f} s"
+        return f"clock of camera {self.camera}: {offset} ± {sd} s {way} (before {previous})"
 
 
 @dataclass(frozen=True)

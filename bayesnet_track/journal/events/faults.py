@@ -32,8 +32,8 @@ class Quarantined:
 
     def describe(self) -> str:
         """`motion failed: raised ... → paused for 10 frames, tried again in frame 52`."""
-        again = "" if self.times == 1 else f", the {_ordinal(self.times)} time in a row"
-        failed = f"{self.node} failed{again}: {self.reason}"
+        repeats = "" if self.times == 1 else f", the {_ordinal(self.times)} time in a row"
+        failed = f"{self.node} failed{repeats}: {self.reason}"
         if self.until is None:
             return f"{failed} → off for the rest of the run"
         return (
@@ -119,8 +119,8 @@ class AgentMissed:
 
     def describe(self) -> str:
         """`motion gave no answer: its process died → left out of this frame`."""
-        asked = "" if self.during == "observing" else f" while {self.during}"
-        return f"{self.node} gave no answer{asked}: {self.reason} → left out of this frame"
+        phase = "" if self.during == "observing" else f" while {self.during}"
+        return f"{self.node} gave no answer{phase}: {self.reason} → left out of this frame"
 
 
 @dataclass(frozen=True)
@@ -175,12 +175,12 @@ class FactorFlawed:
 
     def describe(self) -> str:
         """A factor whose values are no densities."""
-        out = "it is left out until it is above 0 for some"
+        remedy = "it is left out until it is above 0 for some"
         if not self.undefined:
-            return f"factor {self.node} of target {self.target} is 0 for all hypotheses → {out}"
-        of = f"{self.undefined} of {self.hypotheses} hypotheses"
-        then = out if self.ignored else "they count as impossible"
-        return f"factor {self.node} of target {self.target} has no value for {of} (such as 0 / 0) → {then}"
+            return f"factor {self.node} of target {self.target} is 0 for all hypotheses → {remedy}"
+        flaw = f"no value for {self.undefined} of {self.hypotheses} hypotheses (such as 0 / 0)"
+        effect = remedy if self.ignored else "they count as impossible"
+        return f"factor {self.node} of target {self.target} has {flaw} → {effect}"
 
 
 @dataclass(frozen=True)
@@ -206,13 +206,13 @@ class MotionFlawed:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        of = f"{self.undefined} of {self.hypotheses} hypotheses"
-        then = {
+        undefined = f"{self.undefined} of {self.hypotheses} hypotheses"
+        effect = {
             "sd": "these have no such noise",
             "given": "these have the value of the node above",
             "measures": "these are impossible",
         }.get(self.part.partition(" ")[0], "it stays as it is for these")
-        return f"{self.part} of target {self.target} has no value for {of} (such as 0 / 0) → {then}"
+        return f"{self.part} of target {self.target} has no value for {undefined} (such as 0 / 0) → {effect}"
 
 
 @dataclass(frozen=True)
@@ -259,10 +259,10 @@ class PairFactorChanged:
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         factor = f"the factor of target {self.target} and target {self.other}"
-        out = "it is left out until it is above 0 for some"
+        remedy = "it is left out until it is above 0 for some"
         if self.undefined:
-            of = f"{self.undefined} of {self.pairs} pairs of hypotheses (such as 0 / 0)"
-            return f"{factor} has no value for {of} → {out if self.ignored else 'they count as impossible'}"
+            flaw = f"no value for {self.undefined} of {self.pairs} pairs of hypotheses (such as 0 / 0)"
+            return f"{factor} has {flaw} → {remedy if self.ignored else 'they count as impossible'}"
         if self.ignored:
-            return f"{factor} is 0 for all pairs of hypotheses → {out}"
+            return f"{factor} is 0 for all pairs of hypotheses → {remedy}"
         return f"{factor} has a value again, and is above 0 for some pairs"

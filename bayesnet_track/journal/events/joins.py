@@ -333,8 +333,8 @@ class DetectionRefused:
             size = f", {w:.4g} x {h:.4g} px where {width:.4g} x {height:.4g} px was expected,"
         delay = f", {plural(refusal.gap, 'frame')} after its last one" if refusal.gap > 1 else ""
         target, bounds = f"target {self.target}", " and ".join(refusal.bounds())
-        what = f"in frame {refusal.missed_frame} a detection {refusal.distance_px:.0f} px from {target}{size}"
-        return f"{what} went to no target: {bounds} → {target} had none{delay}; {self._otherwise()}"
+        miss = f"in frame {refusal.missed_frame} a detection {refusal.distance_px:.0f} px from {target}{size}"
+        return f"{miss} went to no target: {bounds} → {target} had none{delay}; {self._otherwise()}"
 
     def _otherwise(self) -> str:
         refusal, ways = self.refusal, list[str]()

@@ -69,8 +69,8 @@ class Returned:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        then = f"target {self.target} is back{_at(self.box)}"
-        return _describe_recognition(self.recognition, then, "a new target")
+        effect = f"target {self.target} is back{_centre_text(self.box)}"
+        return _describe_recognition(self.recognition, effect, "a new target")
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ class Reacquired:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        then = f"target {self.target} found again{_at(self.box)}"
-        return _describe_recognition(self.recognition, then, "left alone")
+        effect = f"target {self.target} found again{_centre_text(self.box)}"
+        return _describe_recognition(self.recognition, effect, "left alone")
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
@@ -127,7 +127,7 @@ class Continued:
         return (
             f"detections began in frame {self.first_frame}, when those of target {self.target} had ended, "
             f"{value} sides a frame from it ≤ {level} → target {self.target} goes on with them"
-            f"{_at(self.box)}; would have been a new target at continue_box < {refused}"
+            f"{_centre_text(self.box)}; would have been a new target at continue_box < {refused}"
         )
 
     def change(self, net: TargetNet) -> TargetNet:
@@ -135,31 +135,32 @@ class Continued:
         return replace(net, status="tracking")
 
 
-def _describe_recognition(by: Recognition, then: str, otherwise: str) -> str:
-    value, level = distinct_texts(by.probability, by.min_probability)
+def _describe_recognition(recognition: Recognition, effect: str, otherwise: str) -> str:
+    value, level = distinct_texts(recognition.probability, recognition.min_probability)
     # As many digits as tell it from 1, and rounded up, so that the level named would have refused it.
-    digits = max(2, math.ceil(-math.log10(max(1.0 - by.probability, 1e-7))))
-    turning = float(round_away(by.probability, digits, up=True))
+    digits = max(2, math.ceil(-math.log10(max(1.0 - recognition.probability, 1e-7))))
+    turning = float(round_away(recognition.probability, digits, up=True))
     would = f"; would have been {otherwise} at min_probability ≥ {turning:.9g}"
-    but = "" if turning >= 1 or by.contested else would
-    relation = "≥" if by.probability > by.min_probability else "="
-    rival = "a new target" if by.rival == "new" else f"target {by.rival}"
+    but = "" if turning >= 1 or recognition.contested else would
+    relation = "≥" if recognition.probability > recognition.min_probability else "="
+    rival = "a new target" if recognition.rival == "new" else f"target {recognition.rival}"
     return (
-        f"a detection is target {by.target} with probability {value} {relation} {level} ({explain_odds(by)}; "
-        f"next {rival}, {by.rival_probability:.2g}) → {then}{but}"
+        f"a detection is target {recognition.target} with probability {value} {relation} {level} "
+        f"({explain_odds(recognition)}; next {rival}, {recognition.rival_probability:.2g}) → {effect}{but}"
     )
 
 
-def explain_odds(by: Recognition) -> str:
+def explain_odds(recognition: Recognition) -> str:
     """The log-odds' parts."""
-    whom = f" by {', '.join(by.agents)}" if by.agents else ""
+    whom = f" by {', '.join(recognition.agents)}" if recognition.agents else ""
     return (
-        f"unseen for {plural(by.away, 'frame')} {by.fading:+.2f}, {by.distance_px:.0f} px off "
-        f"{by.place:+.2f}, appearance{whom} {by.appearance:+.2f} nats"
+        f"unseen for {plural(recognition.away, 'frame')} {recognition.fading:+.2f}, "
+        f"{recognition.distance_px:.0f} px off {recognition.place:+.2f}, "
+        f"appearance{whom} {recognition.appearance:+.2f} nats"
     )
 
 
-def _at(box: tuple[float, float, float, float]) -> str:
+def _centre_text(box: tuple[float, float, float, float]) -> str:
     return f", centre {box[0]:.4g}, {box[1]:.4g}, {box[2]:.4g} x {box[3]:.4g} px"
 
 
@@ -228,24 +229,28 @@ class CandidateConfirmed:
     def describe(self) -> str:
         """`gray_level detected it in 3 of its 4 runs ...  → target 3 is new`."""
         runs = "1 run" if self.looks == 1 else f"its {self.looks} runs"
-        seen = f"{self.detector} detected it in {self.seen} of {runs}"
-        since = f" since frame {self.first_frame}" if self.first_frame < self.frame else ""
+        detected = f"{self.detector} detected it in {self.seen} of {runs}"
+        start = f" since frame {self.first_frame}" if self.first_frame < self.frame else ""
         exists = ""
         if self.existence is not None and self.confirm is not None:
             value, level = distinct_texts(self.existence, self.confirm)
             exists = f", existence {value} ≥ {level}"
-        found = f"{seen}{since}, mean score {self.score:.2f}{exists} → target {self.target} is new"
-        near = self.nearest
-        if near is None:
-            return found
-        value, level = distinct_texts(near.probability, near.min_probability)
-        if near.probability >= near.min_probability:
-            return f"{found} (target {near.target} is taken for another detection)"
-        found += f": it is target {near.target} with probability {value} < {level} ({explain_odds(near)})"
-        if near.contested:
-            return found
-        turning = round_away(near.probability, decimals(near.probability, near.min_probability), up=False)
-        return f"{found}; would have been target {near.target} at min_probability ≤ {turning}"
+        evidence = f"{detected}{start}, mean score {self.score:.2f}{exists} → target {self.target} is new"
+        nearest = self.nearest
+        if nearest is None:
+            return evidence
+        value, level = distinct_texts(nearest.probability, nearest.min_probability)
+        if nearest.probability >= nearest.min_probability:
+            return f"{evidence} (target {nearest.target} is taken for another detection)"
+        evidence += (
+            f": it is target {nearest.target} with probability {value} < {level} ({explain_odds(nearest)})"
+        )
+        if nearest.contested:
+            return evidence
+        turning = round_away(
+            nearest.probability, decimals(nearest.probability, nearest.min_probability), up=False
+        )
+        return f"{evidence}; would have been target {nearest.target} at min_probability ≤ {turning}"
 
 
 @dataclass(frozen=True)
@@ -300,12 +305,12 @@ class DetectorFailed:
 
     def describe(self) -> str:
         """`motion failed: ... → paused for 10 frames, tried again in frame 14`."""
-        out = "the rest of the run"
+        pause = "the rest of the run"
         if self.until is not None:
             waits = plural(self.until - self.frame, "frame")
-            out = f"{waits} after {self.times} failures in a row" if self.times > 1 else waits
-            out += f", tried again in frame {self.until}"
-        return f"detector {self.detector} failed: {self.reason} → paused for {out}"
+            pause = f"{waits} after {self.times} failures in a row" if self.times > 1 else waits
+            pause += f", tried again in frame {self.until}"
+        return f"detector {self.detector} failed: {self.reason} → paused for {pause}"
 
 
 @dataclass(frozen=True)
@@ -328,13 +333,13 @@ class DetectionsCut:
 
     def describe(self) -> str:
         """`blobs found 60 → 28 are not used: the best 32 are; would all be used at max_count ≥ 60`."""
-        found = self.used + self.cut
+        count = self.used + self.cut
         so_far = f", in {self.frames} frames so far" if self.frames > 1 else ""
-        would = f"would all be used at max_count ≥ {found}"
-        if found > MOST_DETECTIONS:
+        would = f"would all be used at max_count ≥ {count}"
+        if count > MOST_DETECTIONS:
             would = f"max_count is at most {MOST_DETECTIONS}"
-        used = f"the best {self.used} are used, not {self.cut}{so_far}"
-        return f"{self.detector} found {found} → {used}; {would}"
+        usage = f"the best {self.used} are used, not {self.cut}{so_far}"
+        return f"{self.detector} found {count} → {usage}; {would}"
 
 
 @dataclass(frozen=True)
@@ -366,7 +371,7 @@ class TargetDied:
 
     def describe(self) -> str:
         """`lost for 30 frames → target 3 ends`."""
-        kept = ", remembered" if self.remembered else ""
+        memory = ", remembered" if self.remembered else ""
         if self.reason == "existence" and self.existence is not None and self.end is not None:
             value, level = distinct_texts(self.existence, self.end)
             unseen = f" after {plural(self.frames, 'frame')} without a detection" if self.frames else ""
@@ -374,9 +379,8 @@ class TargetDied:
         else:
             how = "lost" if self.reason == "lost" else "not detected"
             why = f"{how} for {plural(self.frames, 'frame')}"
-        return (
-            f"{why} → target {self.target} ends{kept}; would have continued at {' and '.join(self._needs())}"
-        )
+        needs = " and ".join(self._needs())
+        return f"{why} → target {self.target} ends{memory}; would have continued at {needs}"
 
     def _needs(self) -> list[str]:
         """All thresholds that had to differ: of several rules that hold, each would have ended it."""

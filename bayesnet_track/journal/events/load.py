@@ -42,13 +42,13 @@ class Shed:
         """`3 of the last 10 frames were late: ... → motion off; would have stayed on at a budget ≥ ...`."""
         late = f"{self.late} of the last {self.within} frames were late"
         late = f"{late}, {self.spent_ms:.3g} ms > {self.budget_ms:g}"
-        others = {name: value for name, value in self.index.items() if name != self.node}
-        least = f"{self.index[self.node]:.2g} nats per ms"
-        if others:
-            second = min(others, key=lambda name: others[name])
-            least = f"{least} against {second} {others[second]:.2g}"
+        rivals = {name: value for name, value in self.index.items() if name != self.node}
+        reason = f"{self.index[self.node]:.2g} nats per ms"
+        if rivals:
+            second = min(rivals, key=lambda name: rivals[name])
+            reason = f"{reason} against {second} {rivals[second]:.2g}"
         turning = round_away(self.turning_ms, max(2 - math.floor(math.log10(self.turning_ms)), 0), up=True)
-        return f"{late} → {self.node} off ({least}); would have stayed on at a budget ≥ {turning} ms"
+        return f"{late} → {self.node} off ({reason}); would have stayed on at a budget ≥ {turning} ms"
 
     def shorten(self) -> str:
         """The switch in a word, for a summary."""
@@ -119,8 +119,8 @@ class ParticlesLimited:
 
     def describe(self) -> str:
         """`frames took ... ms, ... allowed → at most 250 hypotheses, 500 before`."""
-        most = "as many hypotheses as asked for" if self.most is None else f"at most {self.most} hypotheses"
-        return f"frames took {self.spent_ms:.3g} of {self.budget_ms:g} ms → {most}, {self.before} before"
+        limit = "as many hypotheses as asked for" if self.most is None else f"at most {self.most} hypotheses"
+        return f"frames took {self.spent_ms:.3g} of {self.budget_ms:g} ms → {limit}, {self.before} before"
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
@@ -211,7 +211,7 @@ class Released:
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
-        held_by_hand = {agent: on for agent, on in net.by_hand.items() if agent != self.node}
+        held_by_hand = {agent: is_on for agent, is_on in net.by_hand.items() if agent != self.node}
         return replace(net, by_hand=held_by_hand)
 
 

@@ -85,8 +85,8 @@ class RunEnded:
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         declared = self.declared_frames
-        whole = declared is None or declared == self.frames
-        frames = plural(self.frames, "frame") if whole else f"{self.frames} of {declared} frames"
+        is_whole = declared is None or declared == self.frames
+        frames = plural(self.frames, "frame") if is_whole else f"{self.frames} of {declared} frames"
         how = "ended" if self.complete else "ended early"
         return f"run {how} after {frames}: {self.reason.replace('_', ' ')}"
 
@@ -107,8 +107,8 @@ class MachineChanged:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        where = "the run continues on another machine or with other libraries"
-        return f"{where}: {'; '.join(self.changes)}"
+        change = "the run continues on another machine or with other libraries"
+        return f"{change}: {'; '.join(self.changes)}"
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class FrameSizeChanged:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        then = "the run stops" if self.action == "stop" else "they are scaled to the first frame's size"
-        return f"the frame size changes to {self.width}x{self.height}; {then}"
+        effect = "the run stops" if self.action == "stop" else "they are scaled to the first frame's size"
+        return f"the frame size changes to {self.width}x{self.height}; {effect}"
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,8 @@ class SourceDamaged:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        until = "" if self.last in (None, self.frame) else f" up to frame {self.last}"
-        often = "" if self.times == 1 else f", {self.times} times{until}"
+        span = "" if self.last in (None, self.frame) else f" up to frame {self.last}"
+        often = "" if self.times == 1 else f", {self.times} times{span}"
         return f"the source is damaged{often}: {self.reason}"
 
 

@@ -5,7 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from bayesnet_track.journal.target_net import Cause, FitCause, HiddenCause, ScoreCause, TargetNet
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
+from bayesnet_track.journal.text.wording import (
+    cause_text,
+    decimals,
+    distinct_texts,
+    plural,
+    round_away,
+    show_turn,
+)
 from bayesnet_track.numerics.records import evolve
 
 
@@ -43,9 +50,9 @@ class StatusChanged:
             return f"{self.reason} → {result}" if self.reason else result
         if not lost:
             fits = f", and {self.reason}" if self.reason else ""
-            return f"{held(self.cause, '≤')}{fits} → {result}"
+            return f"{cause_text(self.cause, '≤')}{fits} → {result}"
         turning = show_turn(self.cause, up=True)
-        return f"{held(self.cause, '>')} → {result}; would not have been lost at lost.above ≥ {turning}"
+        return f"{cause_text(self.cause, '>')} → {result}; would not have been lost at lost.above ≥ {turning}"
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
@@ -88,9 +95,11 @@ class FoundAgain:
         sure = ""
         if self.score is not None and self.score_level is not None:
             sure = ", score {} ≥ {}".format(*distinct_texts(self.score, self.score_level))
-        at = round_away(self.turning, decimals(self.turning, self.found_fit), up=True)
+        turning = round_away(self.turning, decimals(self.turning, self.found_fit), up=True)
         otherwise = (
-            "at any found_fit" if self.turning >= 1.0 else f"would have stayed missing at found_fit > {at}"
+            "at any found_fit"
+            if self.turning >= 1.0
+            else f"would have stayed missing at found_fit > {turning}"
         )
         return (
             f"target {self.target}, missing since frame {self.since}, recognised {self.moved_px:.3g} px from "
@@ -136,11 +145,11 @@ class Regained:
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         score, level = distinct_texts(self.score, self.score_level)
-        ud, most = distinct_texts(self.ud_box, self.ud_level)
+        ud, ud_level = distinct_texts(self.ud_box, self.ud_level)
         highest = round_away(self.turning_score, decimals(self.turning_score, self.score_above), up=True)
         lowest = round_away(self.turning_ud, decimals(self.turning_ud, self.ud_level), up=False)
         missing = "" if self.missing_since is None else f", missing since frame {self.missing_since},"
-        numbers = f"score without its limits {score} ≥ {level}, UD {ud} × box area ≤ {most}"
+        numbers = f"score without its limits {score} ≥ {level}, UD {ud} × box area ≤ {ud_level}"
         effect = f"its fit {self.fit:.3g} of {self.full_fit:.3g} no longer limits the score"
         return (
             f"agents and verifiers agree on where target {self.target}{missing} is for "
@@ -187,11 +196,11 @@ class SceneCut:
 def _by_fit(cause: FitCause, result: str) -> str:
     fit, level = distinct_texts(cause.fit, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
-    found = f"the best hypothesis has a likelihood of {fit} of a perfect match < fit_below {level} {span}"
+    evidence = f"the best hypothesis has a likelihood of {fit} of a perfect match < fit_below {level} {span}"
     if cause.turning is None:
-        return f"{found} → {result}; would have been lost by its UD at any fit_below"
+        return f"{evidence} → {result}; would have been lost by its UD at any fit_below"
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=False)
-    return f"{found} → {result}; would not have been lost at fit_below ≤ {turning}"
+    return f"{evidence} → {result}; would not have been lost at fit_below ≤ {turning}"
 
 
 def _by_hiding(cause: HiddenCause, result: str) -> str:
@@ -205,7 +214,9 @@ def _by_hiding(cause: HiddenCause, result: str) -> str:
 def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
     score, level = distinct_texts(cause.score, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
-    found = f"{(cause.of or 'score').replace('_', ' ')} {score} {'<' if cause.fell else '≥'} {level} {span}"
+    evidence = (
+        f"{(cause.of or 'score').replace('_', ' ')} {score} {'<' if cause.fell else '≥'} {level} {span}"
+    )
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=not cause.fell)
     key = f"lost.{cause.key}" if cause.key else "a threshold"
     status = event.status
@@ -220,7 +231,7 @@ def _by_score(event: StatusChanged, cause: ScoreCause) -> str:
         otherwise = f"would not have been lost at {key} ≤ {turning}"
     else:
         otherwise = f"would have stayed tracked at {key} ≤ {turning}"
-    return f"{found} → target {event.target} {status}; {otherwise}"
+    return f"{evidence} → target {event.target} {status}; {otherwise}"
 
 
 @dataclass(frozen=True)
@@ -256,8 +267,8 @@ class DistractorSeen:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        behind, within = distinct_texts(self.behind_nats, self.within_nats)
-        likely = f"only {behind} < {within} nats less likely than the target"
+        behind, limit = distinct_texts(self.behind_nats, self.within_nats)
+        likely = f"only {behind} < {limit} nats less likely than the target"
         if self.behind_nats < 0.0:
             likely = f"{behind.removeprefix('-')} nats more likely than the target"
         turning = self.behind_nats if self.turning_nats is None else self.turning_nats
@@ -293,12 +304,13 @@ class DoubtEnded:
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         level = self.nearer * self.other_box
-        own = distinct_texts(self.own_box, level)[0]
-        least = round_away(level, decimals(self.own_box, level), up=True)
-        left = plural(self.left, "frame")
+        distance = distinct_texts(self.own_box, level)[0]
+        turning = round_away(level, decimals(self.own_box, level), up=True)
+        duration = plural(self.left, "frame")
         return (
-            f"target is {own} box sides from where it was heading, and {self.other_box:.3g} from where the "
-            f"look-alike was heading → score no longer limited; at {least} it would have stayed so for {left}"
+            f"target is {distance} box sides from where it was heading, and {self.other_box:.3g} from where "
+            f"the look-alike was heading → score no longer limited; at {turning} it would have stayed so "
+            f"for {duration}"
         )
 
 
@@ -326,16 +338,16 @@ class AssuranceChanged:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        mean, above = distinct_texts(self.mean, self.above)
+        mean, level = distinct_texts(self.mean, self.above)
         sign = ">" if self.assured else "≤"
-        found = f"mean score of {plural(self.frames, 'frame')} {mean} {sign} {above}"
+        evidence = f"mean score of {plural(self.frames, 'frame')} {mean} {sign} {level}"
         turning = round_away(self.mean, decimals(self.mean, self.above), up=self.assured)
         if self.assured:
-            again = f"target {self.target} may be called tracking again"
-            return f"{found} → {again}; not at guarantee.above {turning}"
+            effect = f"target {self.target} may be called tracking again"
+            return f"{evidence} → {effect}; not at guarantee.above {turning}"
         return (
-            f"{found} → target {self.target} at most uncertain, for the guarantee of {100 * self.share:.3g} "
-            f"%; would have stayed at guarantee.above < {turning}"
+            f"{evidence} → target {self.target} at most uncertain, for the guarantee of "
+            f"{100 * self.share:.3g} %; would have stayed at guarantee.above < {turning}"
         )
 
 
@@ -416,16 +428,16 @@ class IdentityDoubtful:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        by = f"decided by appearance {self.appearance:+.1f}, motion {self.motion:+.1f} nats"
+        reason = f"decided by appearance {self.appearance:+.1f}, motion {self.motion:+.1f} nats"
         if self.mutual:
             text = (
                 f"identities {self.target} and {self.other} could be swapped since frame {self.since}, "
-                f"probability {self.probability:.2f}; {by}"
+                f"probability {self.probability:.2f}; {reason}"
             )
         else:
             text = (
                 f"target {self.target} could be {self.other} since frame {self.since}, "
-                f"probability {self.probability:.2f}; {by}"
+                f"probability {self.probability:.2f}; {reason}"
             )
         if self.refused:
             text += f"; also close, and not asked about: {', '.join(self.refused)}"

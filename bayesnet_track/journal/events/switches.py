@@ -7,7 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from bayesnet_track.journal.target_net import Cause, Concentration, RuleCause, TargetNet, Turn
-from bayesnet_track.journal.text.wording import decimals, distinct_texts, held, plural, round_away, show_turn
+from bayesnet_track.journal.text.wording import (
+    cause_text,
+    decimals,
+    distinct_texts,
+    plural,
+    round_away,
+    show_turn,
+)
 
 
 @dataclass(frozen=True)
@@ -42,10 +49,10 @@ class Activated:
         why = _expected_most(self) if self.expected else helped
         if isinstance(self.cause, Concentration):
             stay = f"share ≤ {round_away(self.cause.turning, _share_digits(self.cause), up=False)}"
-            found = _describe_concentration(self.cause, sure=False)
-            return f"{found} → {self.node} on{why}; would have stayed off at {stay}"
+            evidence = _describe_concentration(self.cause, sure=False)
+            return f"{evidence} → {self.node} on{why}; would have stayed off at {stay}"
         stay = f"activate ≥ {show_turn(self.cause, up=True)}"
-        return f"{held(self.cause, '>')} → {self.node} on{why}; would have stayed off at {stay}"
+        return f"{cause_text(self.cause, '>')} → {self.node} on{why}; would have stayed off at {stay}"
 
     def shorten(self) -> str:
         """The switch in a word, for a summary."""
@@ -134,28 +141,33 @@ class Scheduled:
         """The sentence of the event, without its frame."""
         who = ", ".join(self.nodes)
         agreed = self.overlap >= self.agree
-        found, agree = distinct_texts(self.overlap, self.agree)
-        why = f"with and without {who} the boxes overlap by {found} {'≥' if agreed else '<'} {agree}"
-        least, most = round_away(self.overlap, 3, up=False), round_away(self.overlap, 3, up=True)
-        at = [] if agreed else [f"agree ≤ {least}"]
+        overlap, agree = distinct_texts(self.overlap, self.agree)
+        why = f"with and without {who} the boxes overlap by {overlap} {'≥' if agreed else '<'} {agree}"
+        low, high = round_away(self.overlap, 3, up=False), round_away(self.overlap, 3, up=True)
+        conditions = [] if agreed else [f"agree ≤ {low}"]
         if self.doubt is not None:
-            why = f"{why}; {held(self.doubt, '>')} with {who}"
-            at.append(f"above ≥ {show_turn(self.doubt, up=True)}")
+            why = f"{why}; {cause_text(self.doubt, '>')} with {who}"
+            conditions.append(f"above ≥ {show_turn(self.doubt, up=True)}")
         lost = self.status == "lost"
         why = f"{why}; the target is lost" if lost else why
-        needs = [*(["while not lost"] if lost else []), *([f"at {' and '.join(at)}"] if at else [])]
+        needs = [
+            *(["while not lost"] if lost else []),
+            *([f"at {' and '.join(conditions)}"] if conditions else []),
+        ]
         would = f"would have rested {', '.join(needs)}"
-        if not agreed and least == "0":  # `agree` lies between 0 and 1
+        if not agreed and low == "0":  # `agree` lies between 0 and 1
             would = "would have rested at no value of agree"
         elif self.gap > 1:
-            would = f"would have run in the next one at agree > {most}"
-            would = "would have rested at any value of agree" if most == "1" else would
-        what = f"again in {plural(self.gap, 'frame')}, frame {self.due}" if self.gap > 1 else "in every frame"
+            would = f"would have run in the next one at agree > {high}"
+            would = "would have rested at any value of agree" if high == "1" else would
+        effect = (
+            f"again in {plural(self.gap, 'frame')}, frame {self.due}" if self.gap > 1 else "in every frame"
+        )
         if self.called is not None:
-            why = f"without {who} {held(self.called, '>')}; {why}"
-            what = f"at once, not in frame {self.was_due}, and {what}"
+            why = f"without {who} {cause_text(self.called, '>')}; {why}"
+            effect = f"at once, not in frame {self.was_due}, and {effect}"
             would = f"would have waited at above ≥ {show_turn(self.called, up=True)}"
-        return f"{why} → {who} {what}; {would}"
+        return f"{why} → {who} {effect}; {would}"
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
@@ -164,31 +176,35 @@ class Scheduled:
 
 def _expected_most(event: Activated) -> str:
     """The reason for this agent and no other: what is expected of it against the runner-up."""
-    own = event.expected[event.node]
-    others = {name: value for name, value in event.expected.items() if name != event.node}
-    what = f"{own:.3g} nats per ms expected" if math.isfinite(own) else "never tried"
-    if not others:
-        return f" ({what})"
-    second = max(others, key=lambda name: others[name])
-    behind = f"{others[second]:.3g}" if math.isfinite(others[second]) else "never tried either"
-    return f" ({what} against {second} {behind})"
+    expected = event.expected[event.node]
+    rivals = {name: value for name, value in event.expected.items() if name != event.node}
+    text = f"{expected:.3g} nats per ms expected" if math.isfinite(expected) else "never tried"
+    if not rivals:
+        return f" ({text})"
+    second = max(rivals, key=lambda name: rivals[name])
+    behind = f"{rivals[second]:.3g}" if math.isfinite(rivals[second]) else "never tried either"
+    return f" ({text} against {second} {behind})"
 
 
 def _describe_concentration(cause: Concentration, sure: bool) -> str:
     """The result of the test, and whether it can say that the belief lies around one mode."""
     exact = not math.isfinite(cause.trials)
-    of = "exactly" if exact else f"of {_count_text(cause.trials)} effective hypotheses"
+    sample = "exactly" if exact else f"of {_count_text(cause.trials)} effective hypotheses"
     vouched, share = distinct_texts(cause.vouched, cause.share)
-    found = f"{100 * cause.inside:.3g} % within {cause.radius_px:.3g} px of the mode, {of}"
+    evidence = f"{100 * cause.inside:.3g} % within {cause.radius_px:.3g} px of the mode, {sample}"
     if exact:
-        return f"{found}: {vouched} {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
+        return f"{evidence}: {vouched} {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
     says = f"at {100 * cause.confidence:.4g} % confidence at least {vouched} lies there"
-    return f"{found}: {says}, {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
+    return f"{evidence}: {says}, {'≥' if sure else '<'} {share} for {plural(cause.frames, 'frame')}"
 
 
 def _well(cause: Cause | Concentration) -> str:
     """The reason why an agent could be switched off."""
-    return _describe_concentration(cause, sure=True) if isinstance(cause, Concentration) else held(cause, "<")
+    return (
+        _describe_concentration(cause, sure=True)
+        if isinstance(cause, Concentration)
+        else cause_text(cause, "<")
+    )
 
 
 def _not_well(cause: Cause | Concentration) -> str:
@@ -200,8 +216,8 @@ def _not_well(cause: Cause | Concentration) -> str:
 
 def _share_digits(cause: Concentration) -> int:
     """Decimals that tell the turning share from the one that was set, at least three."""
-    apart = abs(cause.turning - cause.share)
-    return min(max(3, 1 - math.floor(math.log10(apart))), 12) if apart > 0 else 3
+    gap = abs(cause.turning - cause.share)
+    return min(max(3, 1 - math.floor(math.log10(gap))), 12) if gap > 0 else 3
 
 
 def _count_text(trials: float) -> str:
@@ -214,24 +230,24 @@ def _sampled(event: Deactivated) -> str:
 
 def _chosen_among(event: Deactivated) -> str:
     """The reason for this agent and no other: its index against that of the runner-up."""
-    own = event.index.get(event.node)
-    if own is not None and event.drop == "most_expensive_redundant":
-        return f" (most expensive redundant agent: UD {own:.3g} px² without it)"
-    if own is not None and event.drop == "most_expensive":
-        return f" (most expensive cue: {own:.3g} ms)"
-    others = {name: value for name, value in event.index.items() if name != event.node}
-    if own is None or not others:
+    index = event.index.get(event.node)
+    if index is not None and event.drop == "most_expensive_redundant":
+        return f" (most expensive redundant agent: UD {index:.3g} px² without it)"
+    if index is not None and event.drop == "most_expensive":
+        return f" (most expensive cue: {index:.3g} ms)"
+    rivals = {name: value for name, value in event.index.items() if name != event.node}
+    if index is None or not rivals:
         return ""
     largest = event.drop == "largest_kl"
-    second = (min if not largest else max)(others, key=lambda name: others[name])
-    what = event.drop.replace("_", " ").replace("kl", "KL")
-    return f" ({what} {own:.2f} against {second} {others[second]:.2f})"
+    second = (min if not largest else max)(rivals, key=lambda name: rivals[name])
+    criterion = event.drop.replace("_", " ").replace("kl", "KL")
+    return f" ({criterion} {index:.2f} against {second} {rivals[second]:.2f})"
 
 
-def _own(cause: Cause | RuleCause) -> str:
+def _stop_evidence(cause: Cause | RuleCause) -> str:
     """The condition of an agent's own rule in numbers."""
     if isinstance(cause, Cause):
-        return f"own {held(cause, '>')}"
+        return f"own {cause_text(cause, '>')}"
     value, level = distinct_texts(cause.value, cause.level)
     span = plural(cause.frames, "frame")
     return f"{cause.quantity} {value}{cause.unit} {cause.relation} {level} for {span}"
@@ -266,7 +282,7 @@ class LocallyAdapted:
 
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
-        return f"{self.node}: its {_own(self.cause)} → adapted itself, attempt {self.attempt}"
+        return f"{self.node}: its {_stop_evidence(self.cause)} → adapted itself, attempt {self.attempt}"
 
     def change(self, net: TargetNet) -> TargetNet:
         """The net of the target after it."""
@@ -294,7 +310,7 @@ class SelfStopped:
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         return (
-            f"{self.node}: its {_own(self.cause)} → stopped itself; may be switched on again "
+            f"{self.node}: its {_stop_evidence(self.cause)} → stopped itself; may be switched on again "
             f"from frame {self.rests_until}; would have continued at {_own_turn(self.cause)}"
         )
 
@@ -341,8 +357,8 @@ class ReferenceGuarded:
     def describe(self) -> str:
         """The sentence of the event, without its frame."""
         gap, level = distinct_texts(self.own - self.slow, self.apart_nats)
-        own, slow = f"{self.own:.2f} nats by its reference", f"{self.slow:.2f} by its slow one"
-        scored = f"{self.node}: the estimate scores {own}, {slow}"
+        reference, slow = f"{self.own:.2f} nats by its reference", f"{self.slow:.2f} by its slow one"
+        scored = f"{self.node}: the estimate scores {reference}, {slow}"
         if not self.parted:
             lasted = plural(self.frames, "frame")
             return f"{scored}: {gap} ≤ {level} apart after {lasted} → learns again"

@@ -42,8 +42,8 @@ def settings_apart(first: RunStarted, second: RunStarted) -> list[str]:
     return differences
 
 
-def _estimates_of(started: RunStarted) -> str:
-    return "smoothed" if started.smoothed else "filtered"
+def _estimates_of(event: RunStarted) -> str:
+    return "smoothed" if event.smoothed else "filtered"
 
 
 def compare_text(
@@ -147,12 +147,12 @@ def whose_text(pair: tuple[str, str]) -> str:
 def sides(first: RunRecord, second: RunRecord, moment: Moment) -> tuple[str, str]:
     """Decisions of each run and their causes; the state of the run if it decided nothing."""
     return (
-        f"A  {_said(first, moment.first, moment, moment.pair[0])}",
-        f"B  {_said(second, moment.second, moment, moment.pair[1])}",
+        f"A  {_decision_text(first, moment.first, moment, moment.pair[0])}",
+        f"B  {_decision_text(second, moment.second, moment, moment.pair[1])}",
     )
 
 
-def _said(run: RunRecord, decided: Sequence[Decision], moment: Moment, target: str) -> str:
+def _decision_text(run: RunRecord, decided: Sequence[Decision], moment: Moment, target: str) -> str:
     if decided:
         return "; ".join(explain(event) for event in decided)
     return f"frame {moment.frame}: {_standing(run, moment, target)}"
@@ -196,7 +196,7 @@ def _next(run: RunRecord, moment: Moment, target: str) -> Decision | None:
 def totals_lines(totals: Sequence[Total]) -> list[str]:
     """The table of figures: A, B, and B - A."""
     rows = [("", "A", "B", "B - A")]
-    rows += [(one.name, figure(one.first), figure(one.second), change(one)) for one in totals]
+    rows += [(total.name, figure(total.first), figure(total.second), change(total)) for total in totals]
     widths = [max(len(row[k]) for row in rows) for k in range(4)]
     return [
         "  ".join(
@@ -211,8 +211,8 @@ def figure(value: float | None) -> str:
     """Three or four significant digits, whole numbers whole."""
     if value is None or math.isnan(value):
         return "-"
-    whole = abs(value) >= 1000 or value == int(value)
-    return (f"{value:.0f}" if whole else f"{value:.4g}").replace("-", "−")
+    is_whole = abs(value) >= 1000 or value == int(value)
+    return (f"{value:.0f}" if is_whole else f"{value:.4g}").replace("-", "−")
 
 
 def change(total: Total) -> str:
@@ -231,19 +231,19 @@ def estimate_lines(comparison: Comparison) -> list[str]:
         if not len(distances):
             lines.append((math.inf, f"{name}: never live in the same frame"))
             continue
-        far = distances.farthest
+        farthest = distances.farthest
         mean = float(distances.px.mean())
-        off = int((distances.iou < 0.5).sum())
+        missed = int((distances.iou < 0.5).sum())
         lines.append(
             (
                 -mean,
                 f"{name}: estimates {mean:.3g} px apart on average over {plural(len(distances), 'frame')}, "
-                f"{distances.px[far]:.3g} px at most (frame {distances.frame[far]}); "
-                f"overlap below 0.5 in {plural(off, 'frame')}",
+                f"{distances.px[farthest]:.3g} px at most (frame {distances.frame[farthest]}); "
+                f"overlap below 0.5 in {plural(missed, 'frame')}",
             )
         )
-    said = [line for _, line in sorted(lines)]
-    for run, alone in zip("AB", comparison.alone, strict=True):
-        if alone:
-            said.append(f"only in {run}: target {', '.join(alone)}")
-    return said
+    texts = [line for _, line in sorted(lines)]
+    for run, targets in zip("AB", comparison.alone, strict=True):
+        if targets:
+            texts.append(f"only in {run}: target {', '.join(targets)}")
+    return texts

@@ -62,8 +62,8 @@ def name_targets(text: str, kinds: Mapping[str, str]) -> str:
     def name(number: str) -> str:
         return f"{kinds.get(number, 'target')} {number}"
 
-    text = _STARTS.sub(lambda found: f"{name(found[1])} starts, ", text)
-    return _TARGET.sub(lambda found: name(found[1]), text)
+    text = _STARTS.sub(lambda match: f"{name(match[1])} starts, ", text)
+    return _TARGET.sub(lambda match: name(match[1]), text)
 
 
 def narrate(event: Event, kinds: Mapping[str, str], name_target: bool = False) -> str:
@@ -121,9 +121,9 @@ class Filter:
     def __post_init__(self) -> None:
         kinds = [event_name(kind) for kind in get_args(Event)]
         if self.kind is not None and self.kind not in kinds:
-            close = get_close_matches(self.kind, kinds, n=1)
-            near = f"; did you mean {close[0]}?" if close else ""
-            raise ValueError(f"no event is called {self.kind!r}; there are {', '.join(kinds)}{near}")
+            matches = get_close_matches(self.kind, kinds, n=1)
+            hint = f"; did you mean {matches[0]}?" if matches else ""
+            raise ValueError(f"no event is called {self.kind!r}; there are {', '.join(kinds)}{hint}")
 
     def keeps(self, event: Event) -> bool:
         """True when the event passes every part."""
@@ -159,17 +159,17 @@ def why(
         ValueError: no line of `metrics` is of that frame, or of the target in it.
     """
     known_events, lines = list(events), list(metrics)
-    chosen = [line for line in lines if line.frame == frame and target in (None, line.target)]
-    if not chosen:
-        known = sorted({line.frame for line in lines})
-        if known and known[0] <= frame <= known[-1]:
+    selected = [line for line in lines if line.frame == frame and target in (None, line.target)]
+    if not selected:
+        frames = sorted({line.frame for line in lines})
+        if frames and frames[0] <= frame <= frames[-1]:
             who = "no target is" if target is None else f"target {target} is not"
             raise ValueError(f"{who} live in frame {frame}")
-        range_ = f"it has frames {known[0]} to {known[-1]}" if known else "it has none"
+        range_ = f"it has frames {frames[0]} to {frames[-1]}" if frames else "it has none"
         raise ValueError(f"frame {frame} is not in this run; {range_}")
     kinds = kinds_of(known_events)
     return "\n\n".join(
-        _account(known_events, line, scores.get(kinds.get(line.target, ""), {})) for line in chosen
+        _account(known_events, line, scores.get(kinds.get(line.target, ""), {})) for line in selected
     )
 
 
@@ -194,8 +194,8 @@ def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, f
     if line.modes:
         rows.append(f"  modes      {_probabilities(line.modes, line.modes_predicted)}")
     rows += [
-        f"  {name:<10} {_probabilities(now, _values_of(line.category_predicted, name))}"
-        for name, now in line.categories.items()
+        f"  {name:<10} {_probabilities(probabilities, _values_of(line.category_predicted, name))}"
+        for name, probabilities in line.categories.items()
     ]
     mine = [event for event in events if getattr(event, "target", None) == line.target]
     if line.features:
@@ -206,16 +206,16 @@ def _account(events: Sequence[Event], line: FrameMetrics, slopes: Mapping[str, f
         )
     if line.e_value is not None:
         rows.append(f"  e-value    {line.e_value:.3g} that the target is not held")
-    before = [event for event in mine if getattr(event, "frame", 0) < line.frame or _is_start(event, line)]
+    earlier = [event for event in mine if getattr(event, "frame", 0) < line.frame or _is_start(event, line)]
     for agent in _agents(mine, line):
-        rests = _is_on_call(agent, before) and agent not in line.active
+        rests = _is_on_call(agent, earlier) and agent not in line.active
         state = "rests" if rests else "on " if agent in line.active else "off"
         rows.append(f"  {agent:<10} {state}  {_measured(agent, line)}")
-        rows.append(f"  {'':<10} {_set_by(agent, before)}")
-    now = [event for event in events if getattr(event, "frame", None) == line.frame]
-    now = [event for event in now if getattr(event, "target", line.target) == line.target]
+        rows.append(f"  {'':<10} {_set_by(agent, earlier)}")
+    current = [event for event in events if getattr(event, "frame", None) == line.frame]
+    current = [event for event in current if getattr(event, "target", line.target) == line.target]
     rows += [
-        f"  from here  {explain(event).partition(': ')[2]}" for event in now if not _is_start(event, line)
+        f"  from here  {explain(event).partition(': ')[2]}" for event in current if not _is_start(event, line)
     ]
     levels = _levels(mine)
     rows += [f"  thresholds {', '.join(levels)}"] if levels else []
@@ -226,28 +226,28 @@ def _values_of(category: Mapping[str, float], name: str) -> dict[str, float]:
     return {key.partition("=")[2]: share for key, share in category.items() if key.startswith(f"{name}=")}
 
 
-def _probabilities(now: Mapping[str, float], before: Mapping[str, float]) -> str:
+def _probabilities(posterior: Mapping[str, float], prior: Mapping[str, float]) -> str:
     """Each mode before the evidence, what the frame says of it in nats, the best one 0, and after it."""
-    if not before:
-        return ", ".join(f"{mode} {p:.3g}" for mode, p in now.items())
-    nats = {mode: log(p / before[mode]) for mode, p in now.items()}
-    best = max(nats.values())
+    if not prior:
+        return ", ".join(f"{mode} {p:.3g}" for mode, p in posterior.items())
+    nats = {mode: log(p / prior[mode]) for mode, p in posterior.items()}
+    highest = max(nats.values())
     return "; ".join(
-        f"{mode} predicted {before[mode]:.3g}, evidence {nats[mode] - best:+.2f} nats, now {p:.3g}"
-        for mode, p in now.items()
+        f"{mode} predicted {prior[mode]:.3g}, evidence {nats[mode] - highest:+.2f} nats, now {p:.3g}"
+        for mode, p in posterior.items()
     )
 
 
 def _score(line: FrameMetrics, slopes: Mapping[str, float]) -> str:
     """Terms of the score; without the graph's coefficients, what was measured for it."""
     if not slopes:
-        shown = [f"{name} {value:.2f}" for name, value in sorted(line.features.items()) if name != "most"]
-        return f"  features   {', '.join(shown)}; the coefficients are in the graph"
-    used = {name: slope for name, slope in slopes.items() if slope and name in line.features}
-    terms = {name: slope * line.features[name] for name, slope in used.items()}
+        texts = [f"{name} {value:.2f}" for name, value in sorted(line.features.items()) if name != "most"]
+        return f"  features   {', '.join(texts)}; the coefficients are in the graph"
+    weights = {name: slope for name, slope in slopes.items() if slope and name in line.features}
+    terms = {name: slope * line.features[name] for name, slope in weights.items()}
     odds = slopes["bias"] + sum(terms.values())
     parts = [
-        f"{name} {used[name]:.3g} × {line.features[name]:.2f} = {term:.2f}" for name, term in terms.items()
+        f"{name} {weights[name]:.3g} × {line.features[name]:.2f} = {term:.2f}" for name, term in terms.items()
     ]
     summed = ", ".join([f"bias {slopes['bias']:.3g}", *parts])
     return f"  score from {summed}; log odds {odds:.2f}, probability {0.5 + 0.5 * tanh(odds / 2):.2f}"
@@ -255,16 +255,20 @@ def _score(line: FrameMetrics, slopes: Mapping[str, float]) -> str:
 
 def _limit(line: FrameMetrics, mine: Iterable[Event]) -> str:
     """The limit of the score; empty if it has none."""
-    most = line.features.get("most", 1.0)
-    if most >= 1.0:
+    limit = line.features.get("most", 1.0)
+    if limit >= 1.0:
         return ""
     reason = "the best hypothesis fits badly"
-    doubts = [one for one in mine if isinstance(one, DistractorSeen | DoubtEnded) and one.frame <= line.frame]
-    if line.hidden is not None and isclose(most, 1.0 - line.hidden, abs_tol=1e-6):
+    doubts = [
+        event
+        for event in mine
+        if isinstance(event, DistractorSeen | DoubtEnded) and event.frame <= line.frame
+    ]
+    if line.hidden is not None and isclose(limit, 1.0 - line.hidden, abs_tol=1e-6):
         reason = f"the target is hidden with probability {line.hidden:.2f}"
-    elif most == 0.5 and doubts and isinstance(doubts[-1], DistractorSeen):
+    elif limit == 0.5 and doubts and isinstance(doubts[-1], DistractorSeen):
         reason = f"of the look-alike seen in frame {doubts[-1].frame}"
-    return f"; at most {most:.2f}, because {reason}"
+    return f"; at most {limit:.2f}, because {reason}"
 
 
 def _is_start(event: Event, line: FrameMetrics) -> bool:
@@ -273,9 +277,9 @@ def _is_start(event: Event, line: FrameMetrics) -> bool:
 
 def _agents(events: Sequence[Event], line: FrameMetrics) -> list[str]:
     """The agents heard of in the run, those of the start first."""
-    started = [name for event in events if isinstance(event, TargetStarted) for name in event.active]
+    initial = [name for event in events if isinstance(event, TargetStarted) for name in event.active]
     later = [event.node for event in events if isinstance(event, Switch)]
-    return list(dict.fromkeys([*started, *later, *line.active]))
+    return list(dict.fromkeys([*initial, *later, *line.active]))
 
 
 def _measured(agent: str, line: FrameMetrics) -> str:
@@ -290,9 +294,9 @@ def _measured(agent: str, line: FrameMetrics) -> str:
     return ", ".join(parts) or "gave evidence"
 
 
-def _set_by(agent: str, before: Sequence[Event]) -> str:
+def _set_by(agent: str, earlier: Sequence[Event]) -> str:
     """The last decision that switched the agent, as a sentence."""
-    for event in reversed(before):
+    for event in reversed(earlier):
         if isinstance(event, TargetStarted):
             return (
                 f"on since frame {event.frame}, the start" if agent in event.active else "off since the start"
@@ -304,9 +308,9 @@ def _set_by(agent: str, before: Sequence[Event]) -> str:
     return "not switched by any event"
 
 
-def _is_on_call(agent: str, before: Sequence[Event]) -> bool:
+def _is_on_call(agent: str, earlier: Sequence[Event]) -> bool:
     """True if the last decision about the agent is when it runs next."""
-    for event in reversed(before):
+    for event in reversed(earlier):
         if isinstance(event, Switch) and event.node == agent:
             return False
         if isinstance(event, Scheduled) and agent in event.nodes:
@@ -316,35 +320,35 @@ def _is_on_call(agent: str, before: Sequence[Event]) -> bool:
 
 def _levels(events: Sequence[Event]) -> list[str]:
     """The thresholds that fired anywhere in the run."""
-    found: dict[str, None] = {}
+    levels: dict[str, None] = {}
     for event in events:
         if isinstance(event, Scheduled):
-            found[f"{', '.join(event.nodes)} rests from an overlap of {event.agree:g}"] = None
+            levels[f"{', '.join(event.nodes)} rests from an overlap of {event.agree:g}"] = None
         cause = getattr(event, "cause", None)
         if isinstance(cause, Concentration) and isinstance(event, Activated | Deactivated):
             switches = "activates unless" if isinstance(event, Activated) else "deactivates when"
             test = f"{cause.share:g} lies within {cause.within_box:g} box of the mode"
-            found[f"{event.governor} {switches} {test} (confidence {cause.confidence:g})"] = None
+            levels[f"{event.governor} {switches} {test} (confidence {cause.confidence:g})"] = None
         if isinstance(cause, ScoreCause) and isinstance(event, StatusChanged):
-            found[f"{'below' if cause.fell else 'from'} a score of {cause.level:g} {event.status}"] = None
+            levels[f"{'below' if cause.fell else 'from'} a score of {cause.level:g} {event.status}"] = None
         if isinstance(cause, FitCause):
-            found[f"lost below a likelihood of {cause.level:g} of a perfect match"] = None
+            levels[f"lost below a likelihood of {cause.level:g} of a perfect match"] = None
         if isinstance(cause, RuleCause) and isinstance(event, SelfStopped):
             side = "above" if cause.relation == ">" else "below"
-            found[f"{event.node} stops itself {side} {cause.level:g}{cause.unit} ({cause.rule})"] = None
+            levels[f"{event.node} stops itself {side} {cause.level:g}{cause.unit} ({cause.rule})"] = None
         if not isinstance(cause, Cause):
             continue
         level = f"{cause.level:g}{UNIT[cause.unit]}"
         match event:
             case Activated():
-                found[f"{event.governor} activates above {level}"] = None
+                levels[f"{event.governor} activates above {level}"] = None
             case Deactivated():
-                found[f"{event.governor} deactivates below {level}"] = None
+                levels[f"{event.governor} deactivates below {level}"] = None
             case SelfStopped():
-                found[f"{event.node} stops itself above {level}"] = None
+                levels[f"{event.node} stops itself above {level}"] = None
             case StatusChanged():
-                found[f"lost above {level}"] = None
-    return list(found)
+                levels[f"lost above {level}"] = None
+    return list(levels)
 
 
 def _ud(value: float) -> str:

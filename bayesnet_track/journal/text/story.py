@@ -52,30 +52,30 @@ class CallsFolded:
     @property
     def ran(self) -> int:
         """In how many frames the agents ran, those between two runs with a gap of one frame included."""
-        after = zip(self.runs, self.runs[1:], strict=False)
-        return len(self.runs) + sum(b.frame - a.frame - 1 for a, b in after if a.gap == 1)
+        neighbours = zip(self.runs, self.runs[1:], strict=False)
+        return len(self.runs) + sum(b.frame - a.frame - 1 for a, b in neighbours if a.gap == 1)
 
     def describe(self, whose: str = "") -> str:
         """One line: in how many frames they ran, why more than every few, and what would have been fewer."""
-        first, last = self.runs[0], self.runs[-1]
-        nodes = dict.fromkeys(node for one in self.runs for node in one.nodes)
+        first, final = self.runs[0], self.runs[-1]
+        nodes = dict.fromkeys(node for call in self.runs for node in call.nodes)
         who, them = ", ".join(nodes), "it" if len(nodes) == 1 else "them"
-        shares = [one.overlap for one in self.runs]
+        shares = [call.overlap for call in self.runs]
         low = sum(share < first.agree for share in shares)
-        called = [one for one in self.runs if one.called is not None]
+        called = [call for call in self.runs if call.called is not None]
         text = (
-            f"frames {first.frame} to {last.frame}{whose}: {who} on call, ran in {self.ran} of "
-            f"{last.frame - first.frame + 1}; with and without {them} the boxes overlap by "
+            f"frames {first.frame} to {final.frame}{whose}: {who} on call, ran in {self.ran} of "
+            f"{final.frame - first.frame + 1}; with and without {them} the boxes overlap by "
             f"{min(shares):.2f} to {max(shares):.2f}, in {low} of {len(shares)} below {first.agree:g}"
         )
         if called:
             level = show_turn(
-                max((one.called for one in called if one.called), key=lambda c: c.turning), up=True
+                max((call.called for call in called if call.called), key=lambda c: c.turning), up=True
             )
             text += f"; {plural(len(called), 'time')} at once, would always have waited at above ≥ {level}"
-        least = round_away(min(shares), 3, up=False)
-        if low and least != "0" and not any(one.doubt or one.status == "lost" for one in self.runs):
-            text += f"; would have rested each time at agree ≤ {least}"
+        lowest = round_away(min(shares), 3, up=False)
+        if low and lowest != "0" and not any(call.doubt or call.status == "lost" for call in self.runs):
+            text += f"; would have rested each time at agree ≤ {lowest}"
         return text
 
 
@@ -84,34 +84,34 @@ def fold(events: Iterable[Event]) -> list[Event | CallsFolded]:
 
     Any other event of the same target, or of none, ends a fold.
     """
-    found: list[list[Event]] = []
+    groups: list[list[Event]] = []
     open_: dict[str, list[Event]] = {}
     for event in events:
         if isinstance(event, Scheduled):
             if event.target not in open_:
-                found.append(open_.setdefault(event.target, []))
+                groups.append(open_.setdefault(event.target, []))
             open_[event.target].append(event)
             continue
         target = getattr(event, "target", None)
         if target is None:
             open_.clear()
         open_.pop(target or "", None)
-        found.append([event])
-    return [_folded(group) for group in found]
+        groups.append([event])
+    return [_folded(group) for group in groups]
 
 
 def _folded(group: Sequence[Event]) -> Event | CallsFolded:
-    runs = tuple(one for one in group if isinstance(one, Scheduled))
+    runs = tuple(event for event in group if isinstance(event, Scheduled))
     return CallsFolded(runs) if len(runs) > 1 else group[0]
 
 
 def narrate_all(events: Iterable[Event], kinds: Mapping[str, str], name_target: bool) -> Iterator[str]:
     """The sentences of events, their targets by type and number; runs of agents on call are folded."""
-    for one in fold(events):
-        if isinstance(one, CallsFolded):
-            yield name_targets(one.describe(f", target {one.target}" if name_target else ""), kinds)
+    for entry in fold(events):
+        if isinstance(entry, CallsFolded):
+            yield name_targets(entry.describe(f", target {entry.target}" if name_target else ""), kinds)
         else:
-            yield narrate(one, kinds, name_target)
+            yield narrate(entry, kinds, name_target)
 
 
 CHAPTERS = (
@@ -167,8 +167,8 @@ def check_target(events: Iterable[Event], target: str) -> None:
     Raises:
         ValueError: no target of this id lives in the run.
     """
-    started = TargetStarted | Returned
-    ids = dict.fromkeys(event.target for event in events if isinstance(event, started))
+    starts = TargetStarted | Returned
+    ids = dict.fromkeys(event.target for event in events if isinstance(event, starts))
     if target not in ids:
         raise ValueError(f"no target {target!r} in this run; there are {', '.join(ids) or 'none'}")
 
@@ -177,21 +177,21 @@ def _condense(events: Iterable[Event]) -> list[str]:
     """Summarise the time between two chapters: switches and counts in one line, agents on call in another."""
     events = list(events)
     calls = tuple(event for event in events if isinstance(event, Scheduled))
-    told = [CallsFolded(calls).describe()] if calls else []
+    lines = [CallsFolded(calls).describe()] if calls else []
     switches = [event for event in events if isinstance(event, Switch)]
     counted = Counter(_name(event) for event in events if not isinstance(event, Scheduled | Switch))
     frames = [getattr(event, "frame", 0) for event in events if not isinstance(event, Scheduled)]
     if not frames:
-        return told
+        return lines
     parts = []
     for node in dict.fromkeys(event.node for event in switches):
-        done = [event for event in switches if event.node == node]
-        switched = ", ".join(f"{event.shorten()} at {event.frame}" for event in done[:3])
-        parts.append(f"{node} {switched}{_more(done)}")
+        node_switches = [event for event in switches if event.node == node]
+        switched = ", ".join(f"{event.shorten()} at {event.frame}" for event in node_switches[:3])
+        parts.append(f"{node} {switched}{_more_text(node_switches)}")
     parts += [f"{name} {plural(count, 'time')}" for name, count in counted.items()]
-    first, last = min(frames), max(frames)
-    span = f"frame {first}" if first == last else f"frames {first} to {last}"
-    return [f"{span}: {'; '.join(parts)}", *told]
+    first, end = min(frames), max(frames)
+    span = f"frame {first}" if first == end else f"frames {first} to {end}"
+    return [f"{span}: {'; '.join(parts)}", *lines]
 
 
 def _name(event: Event) -> str:
@@ -199,8 +199,8 @@ def _name(event: Event) -> str:
     return f"{event.node} adapted itself" if isinstance(event, LocallyAdapted) else event_name(type(event))
 
 
-def _more(done: Sequence[Event]) -> str:
-    return f" and {len(done) - 3} more" if len(done) > 3 else ""
+def _more_text(switches: Sequence[Event]) -> str:
+    return f" and {len(switches) - 3} more" if len(switches) > 3 else ""
 
 
 def _ending(mine: Sequence[Event], statuses: Sequence[str]) -> str:
@@ -208,7 +208,9 @@ def _ending(mine: Sequence[Event], statuses: Sequence[str]) -> str:
     lost = statuses.count("lost")
     hidden = f", hidden in {statuses.count('hidden')}" if "hidden" in statuses else ""
     chapters = [event for event in mine if isinstance(event, CHAPTERS)]
-    left = "ended" if isinstance(chapters[-1], TargetDied | DuplicateEnded) else "alive at the end of the run"
-    if left != "ended" and statuses[-1:] in (["lost"], ["hidden"]):
-        left = f"{statuses[-1]} at the end of the run"
-    return f"summary: {plural(len(statuses), 'frame')}, lost in {lost}{hidden}; {left}"
+    state = (
+        "ended" if isinstance(chapters[-1], TargetDied | DuplicateEnded) else "alive at the end of the run"
+    )
+    if state != "ended" and statuses[-1:] in (["lost"], ["hidden"]):
+        state = f"{statuses[-1]} at the end of the run"
+    return f"summary: {plural(len(statuses), 'frame')}, lost in {lost}{hidden}; {state}"

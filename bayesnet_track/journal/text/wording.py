@@ -10,7 +10,7 @@ UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_baseline": " × baselin
 """How a level's unit is written behind its number."""
 
 
-def held(cause: Cause, relation: str) -> str:
+def cause_text(cause: Cause, relation: str) -> str:
     """`UD 212 px² > 200 for 3 frames`, or with the unit and px² in brackets."""
     value, level = distinct_texts(cause.value, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
@@ -49,7 +49,7 @@ def in_px(value: float, level: float) -> tuple[str, str]:
     >>> in_px(4.381, 264.847), in_px(7.768, 7.771)
     (('4.38', '265'), ('7.768', '7.771'))
     """
-    first, second = (trim(f"{one:.{decimals(one)}f}") for one in (value, level))
+    first, second = (trim(f"{number:.{decimals(number)}f}") for number in (value, level))
     if (float(first) < float(second)) == (value < level) and first != second:
         return first, second
     return distinct_texts(value, level)
@@ -67,8 +67,8 @@ def round_away(value: float, digits: int, up: bool) -> str:
         return str(value)
     scaled = value * 10.0**digits
     # A hair of rounding error must not move a whole number to the next one.
-    whole = math.ceil(scaled - 1e-9 * abs(scaled)) if up else math.floor(scaled + 1e-9 * abs(scaled))
-    return trim(f"{whole / 10.0**digits:.{digits}f}")
+    rounded = math.ceil(scaled - 1e-9 * abs(scaled)) if up else math.floor(scaled + 1e-9 * abs(scaled))
+    return trim(f"{rounded / 10.0**digits:.{digits}f}")
 
 
 def trim(text: str) -> str:
