@@ -37,22 +37,22 @@ def distances(a: Floats, b: Floats) -> Floats:
     >>> distances(np.array([[0.0, 0, 4, 4]]), np.array([[3.0, 4, 6, 6]])).tolist()
     [[1.0]]
     """
-    away = np.hypot(*(a[:, None, k] - b[None, :, k] for k in (0, 1)))
+    separation = np.hypot(*(a[:, None, k] - b[None, :, k] for k in (0, 1)))
     side = (_sides(a)[:, None] + _sides(b)[None]) / 2
-    return np.asarray(away / side, dtype=np.float64)
+    return np.asarray(separation / side, dtype=np.float64)
 
 
-def alike(a: Floats, b: Floats, apart: float, covered: float | None = COVERED) -> NDArray[np.bool_]:
+def alike(a: Floats, b: Floats, max_distance: float, covered: float | None = COVERED) -> NDArray[np.bool_]:
     """(N, K) whether boxes (N, 4) and (K, 4) are one object: no farther apart, or so much covered."""
     if covered is None:
-        return np.asarray(distances(a, b) <= apart)
+        return np.asarray(distances(a, b) <= max_distance)
     half_a, half_b = a[:, 2:] / 2, b[:, 2:] / 2
     low = np.maximum((a[:, :2] - half_a)[:, None], b[:, :2] - half_b)
     high = np.minimum((a[:, :2] + half_a)[:, None], b[:, :2] + half_b)
     sides = np.maximum(high - low, 0.0)
     shared = sides[..., 0] * sides[..., 1]
     smaller = np.minimum((a[:, 2] * a[:, 3])[:, None], b[:, 2] * b[:, 3])
-    return np.asarray((distances(a, b) <= apart) | (shared >= covered * smaller))
+    return np.asarray((distances(a, b) <= max_distance) | (shared >= covered * smaller))
 
 
 def pair_up(cost: Floats, limit: Floats) -> Owners:
@@ -72,7 +72,7 @@ def pair_up(cost: Floats, limit: Floats) -> Owners:
 
 
 def associate(
-    detections: Floats, live: Floats, sd_px: Floats, apart: float, covered: float | None = COVERED
+    detections: Floats, live: Floats, sd_px: Floats, max_distance: float, covered: float | None = COVERED
 ) -> tuple[Owners, NDArray[np.bool_]]:
     """Assignment of detections to targets, and the free ones.
 
@@ -89,9 +89,9 @@ def associate(
     """
     if len(live) == 0 or len(detections) == 0:
         return np.full(len(detections), UNASSIGNED, dtype=np.intp), np.ones(len(detections), dtype=bool)
-    reach = apart + 2.0 * sd_px / _sides(live)
+    reach = max_distance + 2.0 * sd_px / _sides(live)
     owner = pair_up(distances(detections, live), np.broadcast_to(reach, (len(detections), len(live))))
-    return owner, (owner == UNASSIGNED) & ~alike(detections, live, apart, covered).any(axis=1)
+    return owner, (owner == UNASSIGNED) & ~alike(detections, live, max_distance, covered).any(axis=1)
 
 
 def _sides(boxes: Floats) -> Floats:
@@ -113,14 +113,14 @@ def gated_gains(
     sure one expects. It is -inf beyond the gates: d^2 - 2 appearance log L above the chi-square quantile of
     `gate`, or too small an overlap.
     """
-    away = boxes - mean
+    residual = boxes - mean
     spread = covariance + rule.variances(boxes)[:, :, None] * np.eye(4)
-    d2 = np.einsum("ni,ni->n", away, np.linalg.solve(spread, away[:, :, None])[:, :, 0])
+    d2 = np.einsum("ni,ni->n", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
     limit = chi_square_quantile(rule.gate, 4)
-    near = (d2 <= limit) & (overlap(boxes, mean) >= rule.min_overlap)
-    if rule.appearance > 0 and near.any():
-        d2[near] -= 2.0 * rule.appearance * log_looks(boxes[near])
-    return np.where(near & (d2 <= limit), -0.5 * (d2 + np.linalg.slogdet(spread)[1]), -np.inf)
+    is_near = (d2 <= limit) & (overlap(boxes, mean) >= rule.min_overlap)
+    if rule.appearance > 0 and is_near.any():
+        d2[is_near] -= 2.0 * rule.appearance * log_looks(boxes[is_near])
+    return np.where(is_near & (d2 <= limit), -0.5 * (d2 + np.linalg.slogdet(spread)[1]), -np.inf)
 
 
 def assign(gain: Floats) -> Owners:
@@ -132,13 +132,13 @@ def assign(gain: Floats) -> Owners:
     [1, 0]
     """
     owner = np.full(len(gain), UNASSIGNED, dtype=np.intp)
-    allowed = gain > -np.inf
-    rows, columns = np.flatnonzero(allowed.any(axis=1)), np.flatnonzero(allowed.any(axis=0))
+    is_pair = gain > -np.inf
+    rows, columns = np.flatnonzero(is_pair.any(axis=1)), np.flatnonzero(is_pair.any(axis=0))
     if not len(rows):
         return owner
     from scipy.optimize import linear_sum_assignment  # here, because it takes long to import
 
-    costs, possible = -gain[np.ix_(rows, columns)], allowed[np.ix_(rows, columns)]
+    costs, possible = -gain[np.ix_(rows, columns)], is_pair[np.ix_(rows, columns)]
     low, high = float(costs[possible].min()), float(costs[possible].max())
     # More expensive than any pairs that could be had instead.
     forbidden = (high - low + 1.0) * (min(costs.shape) + 1)
@@ -162,23 +162,23 @@ def assign_total(gain: Floats, is_pair: NDArray[np.bool_]) -> Owners:
 
     owner = np.full(len(gain), UNASSIGNED, dtype=np.intp)
     rows, columns = linear_sum_assignment(gain, maximize=True)
-    kept = is_pair[rows, columns]
-    owner[rows[kept]] = columns[kept]
+    accepted = is_pair[rows, columns]
+    owner[rows[accepted]] = columns[accepted]
     return owner
 
 
 def assign_total_pairs(
-    rows: Owners, columns: Owners, gains: Floats, count: int, found: int, least: float
+    rows: Owners, columns: Owners, gains: Floats, count: int, column_count: int, min_gain: float
 ) -> Owners:
-    """As `assign_total`, of the pairs (P,) whose gains are above 0; those below `least` are rejected."""
+    """Assign as `assign_total`, by pairs (P,) of gains above 0; those below `min_gain` are rejected."""
 
     def by_total(gain: Floats) -> Owners:
-        return assign_total(np.maximum(gain, 0.0), gain >= least)
+        return assign_total(np.maximum(gain, 0.0), gain >= min_gain)
 
-    owner = assign_pairs(rows, columns, gains, count, found, by_total)
-    kept = np.zeros(count, dtype=np.bool_)
-    kept[rows[(owner[rows] == columns) & (gains >= least)]] = True
-    return np.where(kept, owner, UNASSIGNED)
+    owner = assign_pairs(rows, columns, gains, count, column_count, by_total)
+    accepted = np.zeros(count, dtype=np.bool_)
+    accepted[rows[(owner[rows] == columns) & (gains >= min_gain)]] = True
+    return np.where(accepted, owner, UNASSIGNED)
 
 
 def assign_pairs(
@@ -186,10 +186,10 @@ def assign_pairs(
     columns: Owners,
     gains: Floats,
     count: int,
-    found: int,
+    column_count: int,
     assign_group: Callable[[Floats], Owners] = assign,
 ) -> Owners:
-    """As `assign`, of the pairs (P,) that are not forbidden, out of `count` rows and `found` columns.
+    """Assign as `assign`, by the pairs (P,) not forbidden of `count` rows and `column_count` columns.
 
     Rows and columns that no pairs connect do not concern each other: each connected group is assigned alone,
     and those in which nobody wants what another wants are plain.
@@ -201,13 +201,13 @@ def assign_pairs(
     from bayesnet_track.numerics.kernels.pair_kernels import open_groups, settle_pairs
 
     rows, columns = np.ascontiguousarray(rows), np.ascontiguousarray(columns)  # one compiled version only
-    owner, group = settle_pairs(rows, columns, gains, count, found)
-    matrices, all_rows, all_columns, starts = open_groups(rows, columns, gains, group, count, found)
+    owner, group = settle_pairs(rows, columns, gains, count, column_count)
+    matrices, all_rows, all_columns, starts = open_groups(rows, columns, gains, group, count, column_count)
     for (a, r, c), (b, s, d) in pairwise(starts.tolist()):
         own_rows, own_columns = all_rows[r:s], all_columns[c:d]
-        chosen = assign_group(matrices[a:b].reshape(s - r, d - c))
-        is_given = chosen != UNASSIGNED
-        owner[own_rows[is_given]] = own_columns[chosen[is_given]]
+        assigned = assign_group(matrices[a:b].reshape(s - r, d - c))
+        is_given = assigned != UNASSIGNED
+        owner[own_rows[is_given]] = own_columns[assigned[is_given]]
     return np.asarray(owner)
 
 
@@ -229,7 +229,7 @@ class Layout:
 
     @classmethod
     def of(cls, rule: AssociationRule, size: int) -> Layout:
-        """That of a rule, for beliefs of D = `size` fields."""
+        """The layout of a rule, for beliefs of D = `size` fields."""
         return cls(rule.direction_frames if rule.direction > 0 else 0, size if rule.re_update else 0)
 
     @property
@@ -279,14 +279,14 @@ def remembered(rule: AssociationRule, reference: Reference, mean: Floats) -> Flo
 def observe(
     rule: AssociationRule,
     observed: Floats,
-    before: tuple[Floats, Floats],
-    own: Floats,
+    previous: tuple[Floats, Floats],
+    detections: Floats,
     is_given: Bools,
     elapsed: float,
 ) -> Floats:
-    """(T, H) after a frame in which targets were given the detections `own` (T, 4), where `is_given`.
+    """(T, H) after a frame in which targets were given `detections` (T, 4), where `is_given`.
 
-    `before` are means (T, D) and covariances (T, D, D) of the beliefs of the frame before, `elapsed` frame
+    `previous` are means (T, D) and covariances (T, D, D) of the beliefs of the frame before, `elapsed` frame
     intervals earlier.
     """
     if not observed.shape[1]:
@@ -296,16 +296,16 @@ def observe(
     from bayesnet_track.numerics.kernels.judging_kernels import append_detections, units_of
 
     heading = np.empty((len(observed), 2))
-    layout, after = Layout.of(rule, before[0].shape[1]), observed.copy()
+    layout, updated = Layout.of(rule, previous[0].shape[1]), observed.copy()
     if layout.size:
         parting = ~is_given & (observed[:, GAP] == 0.0)
-        after[parting, layout.mean] = before[0][parting]
-        after[parting, layout.covariance] = before[1][parting].reshape(-1, layout.size**2)
+        updated[parting, layout.mean] = previous[0][parting]
+        updated[parting, layout.covariance] = previous[1][parting].reshape(-1, layout.size**2)
     if layout.frames:
-        ways = np.where(is_given[:, None], own[:, :2] - earlier(layout, observed)[:, :2], np.nan)
+        ways = np.where(is_given[:, None], detections[:, :2] - earlier(layout, observed)[:, :2], np.nan)
         heading = units_of(ways)
-    append_detections(after, plain(own), is_given, FIXED, layout.frames, heading, float(elapsed))
-    return after
+    append_detections(updated, plain(detections), is_given, FIXED, layout.frames, heading, float(elapsed))
+    return updated
 
 
 def earlier(layout: Layout, observed: Floats) -> Floats:
@@ -348,14 +348,14 @@ def share_in_passes(rule: AssociationRule, scores: Floats, count: int, ask: Ask)
     is_first = scores >= rule.first_score
     is_free = np.ones(len(scores), dtype=np.bool_)
 
-    def give(by: Pass, takes_part: Bools) -> None:
+    def give(stage: Pass, takes_part: Bools) -> None:
         rows, free = (owner == UNASSIGNED).nonzero()[0], (takes_part & is_free).nonzero()[0]
         if len(rows) and len(free):
-            chosen = ask(by, rows, free)
-            got = chosen != UNASSIGNED
-            given = free[chosen[got]]
-            owner[rows[got]] = given
-            is_free[given] = False
+            assigned = ask(stage, rows, free)
+            got = assigned != UNASSIGNED
+            columns = free[assigned[got]]
+            owner[rows[got]] = columns
+            is_free[columns] = False
 
     give("first", is_first)
     if not is_first.all():
@@ -374,9 +374,9 @@ def share_by_overlap(
     in the assignment; pairs that overlap by less than `min_overlap` are rejected after it.
     """
 
-    def ask(by: Pass, rows: Owners, columns: Owners) -> Owners:
-        reference = observed[rows, LAST] if by == "last" else expected[rows]
-        if by == "first" and rule.direction > 0:
+    def ask(stage: Pass, rows: Owners, columns: Owners) -> Owners:
+        reference = observed[rows, LAST] if stage == "last" else expected[rows]
+        if stage == "first" and rule.direction > 0:
             # Imported here: a graph is validated without compiling anything.
             from bayesnet_track.numerics.compiled import plain
             from bayesnet_track.numerics.kernels.judging_kernels import overlaps_of
@@ -399,8 +399,10 @@ def overlapping_pairs(reference: Floats, boxes: Floats) -> tuple[Ints, Ints, Flo
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.pair_kernels import overlap_rows
 
-    near = near_along_x(reference[:, 0], boxes, lambda: (reference[:, 2] + boxes[:, 2].max(initial=0.0)) / 2)
-    return overlap_rows(np.ascontiguousarray(reference), np.ascontiguousarray(boxes), *near)
+    candidates = near_along_x(
+        reference[:, 0], boxes, lambda: (reference[:, 2] + boxes[:, 2].max(initial=0.0)) / 2
+    )
+    return overlap_rows(np.ascontiguousarray(reference), np.ascontiguousarray(boxes), *candidates)
 
 
 FEW_PAIRS = 1024

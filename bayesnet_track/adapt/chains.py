@@ -32,7 +32,7 @@ class Posterior:
     chosen: Mapping[int, int]
 
     def of(self, start: int) -> dict[int | None, float]:
-        """What a start continues, by falling probability; None for nothing."""
+        """The ends that a start may continue, by falling probability; None for nothing."""
         mine = np.flatnonzero(self.links.starts == start)
         shares: dict[int | None, float] = dict(
             zip(self.links.ends[mine].tolist(), self.probability[mine].tolist(), strict=True)
@@ -46,21 +46,21 @@ def infer(links: Links, answers: Mapping[int, int | None] | None = None) -> Post
     from bayesnet_track.numerics.association import LARGEST, marginalise
 
     answers = answers or {}
-    given = {(end, start) for start, end in answers.items() if end is not None}
-    taken = {end for end, _ in given}
+    fixed = {(end, start) for start, end in answers.items() if end is not None}
+    fixed_ends = {end for end, _ in fixed}
     free = np.array(
         [
-            start not in answers and end not in taken
+            start not in answers and end not in fixed_ends
             for end, start in zip(links.ends.tolist(), links.starts.tolist(), strict=True)
         ],
         dtype=bool,
     )
-    ends = np.append(links.ends[free], [end for end, _ in given]).astype(np.int64)
-    starts = np.append(links.starts[free], [start for _, start in given]).astype(np.int64)
-    log_odds = np.append(links.log_odds[free], np.full(len(given), np.log(LARGEST)))
-    held = Links(ends, starts, log_odds, links.count)
+    ends = np.append(links.ends[free], [end for end, _ in fixed]).astype(np.int64)
+    starts = np.append(links.starts[free], [start for _, start in fixed]).astype(np.int64)
+    log_odds = np.append(links.log_odds[free], np.full(len(fixed), np.log(LARGEST)))
+    conditioned = Links(ends, starts, log_odds, links.count)
     marginals = marginalise(ends, starts, np.exp(np.minimum(log_odds, 60.0)), (links.count, links.count))
-    return Posterior(held, marginals.pairs, marginals.free, _most_probable(held))
+    return Posterior(conditioned, marginals.pairs, marginals.free, _most_probable(conditioned))
 
 
 def _most_probable(links: Links) -> dict[int, int]:
@@ -76,7 +76,7 @@ def _most_probable(links: Links) -> dict[int, int]:
     _, label = connected_components(
         coo_matrix((np.ones(len(ends)), (ends, starts + links.count)), shape), False
     )
-    chosen: dict[int, int] = {}
+    assignment: dict[int, int] = {}
     order = np.argsort(label[ends], kind="stable")
     for part in np.split(order, np.flatnonzero(np.diff(label[ends][order])) + 1) if len(order) else []:
         rows, row = np.unique(ends[part], return_inverse=True)
@@ -85,30 +85,30 @@ def _most_probable(links: Links) -> dict[int, int]:
         table[row, column] = gain[part]
         for a, b in zip(*linear_sum_assignment(table, maximize=True), strict=True):
             if table[a, b] > 0.0:
-                chosen[int(columns[b])] = int(rows[a])
-    return chosen
+                assignment[int(columns[b])] = int(rows[a])
+    return assignment
 
 
 def label_rows(
-    paths: Sequence[TrackPath], tracklets: Sequence[Tracklet], chosen: Mapping[int, int]
+    paths: Sequence[TrackPath], tracklets: Sequence[Tracklet], assignment: Mapping[int, int]
 ) -> list[list[str]]:
     """The identity of every row of every path: that of the first tracklet of its chain.
 
     Between an end and the start that continues it in another path, it changes where both were closest.
     """
     names: list[str] = []
-    used: dict[str, int] = {}
+    counts: dict[str, int] = {}
     order = sorted(range(len(tracklets)), key=lambda k: (tracklets[k].frames[0], k))
     label: dict[int, str] = {}
     for k in order:
-        if k in chosen and chosen[k] in label:
-            label[k] = label[chosen[k]]
+        if k in assignment and assignment[k] in label:
+            label[k] = label[assignment[k]]
             continue
         name = paths[tracklets[k].path].target
-        used[name] = used.get(name, 0) + 1
-        while used[name] > 1 and f"{name}.{used[name]}" in {path.target for path in paths}:
-            used[name] += 1
-        label[k] = name if used[name] == 1 else f"{name}.{used[name]}"
+        counts[name] = counts.get(name, 0) + 1
+        while counts[name] > 1 and f"{name}.{counts[name]}" in {path.target for path in paths}:
+            counts[name] += 1
+        label[k] = name if counts[name] == 1 else f"{name}.{counts[name]}"
     names = [label[k] for k in range(len(tracklets))]
     rows = [[""] * len(path.frame) for path in paths]
     for k, tracklet in enumerate(tracklets):
@@ -117,7 +117,7 @@ def label_rows(
         # What stands before a path's first clear row, and behind its last one, is of it alone.
         start = tracklet.first if _follows(tracklets, k) else 0
         rows[tracklet.path][start:end] = [names[k]] * (end - start)
-    _label_doubtful(paths, tracklets, _Between.of(tracklets, chosen, names), rows)
+    _label_doubtful(paths, tracklets, _Between.of(tracklets, assignment, names), rows)
     return _without_two(paths, rows)
 
 
@@ -127,7 +127,7 @@ def _follows(tracklets: Sequence[Tracklet], k: int) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Between:
-    """Where identities are expected between an end and the start that continues it.
+    """Expected places of identities between an end and the start that continues it.
 
     Attributes:
         names: of L links the identity.
@@ -140,8 +140,10 @@ class _Between:
     states: Floats
 
     @classmethod
-    def of(cls, tracklets: Sequence[Tracklet], chosen: Mapping[int, int], names: Sequence[str]) -> _Between:
-        pairs = [(end, start) for start, end in chosen.items()]
+    def of(
+        cls, tracklets: Sequence[Tracklet], assignment: Mapping[int, int], names: Sequence[str]
+    ) -> _Between:
+        pairs = [(end, start) for start, end in assignment.items()]
         frames = [(tracklets[end].frames[1], tracklets[start].frames[0]) for end, start in pairs]
         states = [(tracklets[end].states[1], tracklets[start].states[0]) for end, start in pairs]
         return cls(
@@ -152,16 +154,16 @@ class _Between:
 
     def at(self, frame: int) -> tuple[list[str], Floats]:
         """The identities that are between two tracklets in a frame, and their places (K, 2)."""
-        held = np.flatnonzero((self.frames[:, 0] < frame) & (frame < self.frames[:, 1]))
-        span = (self.frames[held, 1] - self.frames[held, 0]).astype(float)[:, None]
-        t = (frame - self.frames[held, 0])[:, None] / span
+        current = np.flatnonzero((self.frames[:, 0] < frame) & (frame < self.frames[:, 1]))
+        span = (self.frames[current, 1] - self.frames[current, 0]).astype(float)[:, None]
+        t = (frame - self.frames[current, 0])[:, None] / span
         (p, q), (u, v) = (
-            np.moveaxis(self.states[held][..., part], 1, 0) for part in (slice(0, 2), slice(2, 4))
+            np.moveaxis(self.states[current][..., part], 1, 0) for part in (slice(0, 2), slice(2, 4))
         )
         # The cubic with these places and velocities at both ends.
         place = (1 + 2 * t) * (1 - t) ** 2 * p + t * (1 - t) ** 2 * span * u
         place = place + t**2 * (3 - 2 * t) * q + t**2 * (t - 1) * span * v
-        return [self.names[k] for k in held.tolist()], place
+        return [self.names[k] for k in current.tolist()], place
 
 
 def _label_doubtful(
@@ -175,18 +177,18 @@ def _label_doubtful(
                 waiting.setdefault(int(paths[tracklet.path].frame[row]), []).append((tracklet.path, row))
     for frame in sorted(waiting):
         names, places = between.at(frame)
-        own = waiting[frame]
+        entries = waiting[frame]
         if not names:
             continue
-        boxes = np.array([paths[path].boxes[row] for path, row in own])
-        away = np.abs(boxes[:, None, :2] - places) / boxes[:, None, 2:]
-        cost = away.max(axis=2)
-        for place, (path, row) in enumerate(own):
-            before = rows[path][row - 1] if row else ""
+        boxes = np.array([paths[path].boxes[row] for path, row in entries])
+        offset = np.abs(boxes[:, None, :2] - places) / boxes[:, None, 2:]
+        cost = offset.max(axis=2)
+        for place, (path, row) in enumerate(entries):
+            previous = rows[path][row - 1] if row else ""
             cost[place] += HIDDEN * (not paths[path].shown[row])
-            cost[place] -= LASTING * np.array([name == before for name in names])
+            cost[place] -= LASTING * np.array([name == previous for name in names])
         for a, b in zip(*assign_least(np.minimum(cost, FARTHEST)), strict=True):
-            path, row = own[a]
+            path, row = entries[a]
             if cost[a, b] < FARTHEST:
                 rows[path][row] = names[b]
 
@@ -205,7 +207,7 @@ def _without_two(paths: Sequence[TrackPath], rows: list[list[str]]) -> list[list
         for row, frame in enumerate(path.frame.tolist()):
             key = (rows[number][row], frame)
             if key in owner:
-                other, place = owner[key]
-                rows[other][place] = ""
+                earlier, place = owner[key]
+                rows[earlier][place] = ""
             owner[key] = (number, row)
     return rows

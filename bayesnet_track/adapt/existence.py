@@ -31,7 +31,7 @@ MET = 3
 
 
 def estimate_chain(
-    seen: float, seen_again: float, missed_frames: float, false_frames: float, most: float = 0.99
+    seen: float, seen_again: float, missed_frames: float, false_frames: float, max_detection: float = 0.99
 ) -> Chain:
     """The chain by two rates: of detections, and of detections right after one, in the open.
 
@@ -45,15 +45,15 @@ def estimate_chain(
     """
     ends = 1.0 / false_frames if false_frames > 1.0 else 1.0
     if missed_frames <= 1.0 or seen_again <= seen:
-        return Chain(min(seen, most), 0.0, 1.0, ends)
+        return Chain(min(seen, max_detection), 0.0, 1.0, ends)
     leave = 1.0 / missed_frames
     root = (1.0 - leave) ** 2 - 4.0 * leave * (seen_again / seen - 1.0)
     enter = ((1.0 - leave) - math.sqrt(max(root, 0.0))) / 2.0
-    return Chain(min(seen_again / (1.0 - enter), most), enter, leave, ends)
+    return Chain(min(seen_again / (1.0 - enter), max_detection), enter, leave, ends)
 
 
 def count_lasting(over: Presence, survival: float, false_frames: float) -> tuple[Floats, Floats]:
-    """How many false detections began a lasting false alarm, and how many there were: (2,) spots and doubles.
+    """Count false detections that began a lasting false alarm, and all of them: (2,) spots and doubles.
 
     `over` are tracks and targets that ended. One that was detected n times was a false alarm, of which a
     share 1 - 1 / `false_frames` lasts from look to look, rather than a target of `survival`, by the
@@ -63,9 +63,9 @@ def count_lasting(over: Presence, survival: float, false_frames: float) -> tuple
     lasts, n = 1.0 - 1.0 / false_frames, np.maximum(over.seen, 1.0)
     log_odds = n * math.log(survival / lasts) + math.log(max(1.0 - survival, 1e-9) * false_frames)
     is_false = np.where(n < MET - 0.5, 1.0, 1.0 / (1.0 + np.exp(np.minimum(log_odds, 700.0))))
-    both = (over.begun * is_false)[:, None] * np.column_stack([1.0 - over.near, over.near])
-    lasting = both[n >= MET - 0.5].sum(axis=0) / lasts ** (MET - 1)
-    return lasting, both.sum(axis=0)
+    counts = (over.begun * is_false)[:, None] * np.column_stack([1.0 - over.near, over.near])
+    lasting = counts[n >= MET - 0.5].sum(axis=0) / lasts ** (MET - 1)
+    return lasting, counts.sum(axis=0)
 
 
 def share_hidden(in_the_open: float, covered: float) -> float:
@@ -74,8 +74,8 @@ def share_hidden(in_the_open: float, covered: float) -> float:
     >>> share_hidden(0.9, 0.9), share_hidden(0.9, 0.05)
     (0.0, 1.0)
     """
-    least = min(UNSEEN, covered)
-    return (in_the_open - min(covered, in_the_open)) / (in_the_open - least) if in_the_open > least else 0.0
+    floor = min(UNSEEN, covered)
+    return (in_the_open - min(covered, in_the_open)) / (in_the_open - floor) if in_the_open > floor else 0.0
 
 
 NEGLIGIBLE = 1e-3
@@ -154,23 +154,25 @@ class UnconfirmedTracks:
     def _arrays(self) -> dict[str, Any]:
         return {name: part for name, part in vars(self).items() if name != "presence"}
 
-    def extend(self, others: UnconfirmedTracks) -> UnconfirmedTracks:
+    def extend(self, tracks: UnconfirmedTracks) -> UnconfirmedTracks:
         """These, then others."""
-        if not len(others):
+        if not len(tracks):
             return self
         if not len(self):
-            return others
-        more = others._arrays()
-        parts = {name: np.concatenate([part, more[name]]) for name, part in self._arrays().items()}
-        return UnconfirmedTracks(**parts, presence=self.presence.extend(others.presence))
+            return tracks
+        arrays = tracks._arrays()
+        parts = {name: np.concatenate([part, arrays[name]]) for name, part in self._arrays().items()}
+        return UnconfirmedTracks(**parts, presence=self.presence.extend(tracks.presence))
 
     @classmethod
     def none(cls, width: int) -> UnconfirmedTracks:
         """None, of a state of so many fields."""
-        none, whole = np.empty(0), np.empty(0, np.int64)
+        none, integers = np.empty(0), np.empty(0, np.int64)
         moments = np.empty((0, width)), np.empty((0, width, width))
         values = np.empty((0, 0))
-        return cls(*moments, none, whole, none, whole, whole, whole, none, values, Presence.sure(0))
+        return cls(
+            *moments, none, integers, none, integers, integers, integers, none, values, Presence.sure(0)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,36 +239,36 @@ class DetectionModel:
         """The same tracks, with what the detections of a further sensor have told; None: the first one."""
         if sensor is None:
             return self
-        own = self.further.get(sensor) or DetectionModel(self.unconfirmed)
-        known, shared = own.known, self.known
-        if known.names != shared.names:
-            known = Known(shared.names, known.of(shared.names))
-        presence = evolve(known.presence, spot=shared.presence.spot, double=shared.presence.double)
-        return evolve(own, unconfirmed=self.unconfirmed, known=evolve(known, presence=presence))
+        model = self.further.get(sensor) or DetectionModel(self.unconfirmed)
+        model_known, shared = model.known, self.known
+        if model_known.names != shared.names:
+            model_known = Known(shared.names, model_known.of(shared.names))
+        presence = evolve(model_known.presence, spot=shared.presence.spot, double=shared.presence.double)
+        return evolve(model, unconfirmed=self.unconfirmed, known=evolve(model_known, presence=presence))
 
-    def after(self, sensor: str | None, told: DetectionModel) -> DetectionModel:
-        """After a look of that sensor, which gave `told`."""
+    def after(self, sensor: str | None, updated: DetectionModel) -> DetectionModel:
+        """After a look of that sensor, which gave `updated`."""
         if sensor is None:
-            return told
-        own = evolve(told, unconfirmed=told.unconfirmed.take(np.empty(0, np.int64)))
-        after = told.known.presence
-        presence = evolve(self.known.presence, spot=after.spot, double=after.double)
-        known = evolve(self.known, presence=presence)
-        further = {**self.further, sensor: own}
-        return evolve(self, unconfirmed=told.unconfirmed, known=known, further=further)
+            return updated
+        sensor_model = evolve(updated, unconfirmed=updated.unconfirmed.take(np.empty(0, np.int64)))
+        new_presence = updated.known.presence
+        presence = evolve(self.known.presence, spot=new_presence.spot, double=new_presence.double)
+        shared_known = evolve(self.known, presence=presence)
+        models = {**self.further, sensor: sensor_model}
+        return evolve(self, unconfirmed=updated.unconfirmed, known=shared_known, further=models)
 
     def chain(self, rule: Existence) -> Chain:
-        """How the states of a target follow each other, by the rates of detections in the open."""
-        seen = rule.detection if rule.detection is not None else min(self.hits / self.chances, 0.99)
-        again = self.again_hits / self.again_chances
-        return estimate_chain(seen, again, rule.missed_frames, rule.false_frames)
+        """The chain of a target's states, by the rates of detections in the open."""
+        rate = rule.detection if rule.detection is not None else min(self.hits / self.chances, 0.99)
+        rate_again = self.again_hits / self.again_chances
+        return estimate_chain(rate, rate_again, rule.missed_frames, rule.false_frames)
 
     def share_hidden(self, rule: Existence) -> float:
         """Share of covered targets that are hidden."""
         chain = self.chain(rule)
-        usual = chain.detection * (1.0 - chain.blind_share)
+        in_the_open = chain.detection * (1.0 - chain.blind_share)
         covered = rule.covered if rule.covered is not None else self.covered_hits / self.covered_chances
-        return share_hidden(usual, covered)
+        return share_hidden(in_the_open, covered)
 
     def clutter_rate(self, rule: Existence) -> float:
         """False detections a frame that no target covers."""
@@ -287,12 +289,12 @@ class DetectionModel:
 
         `on_targets` is the share of the frame that is on targets.
         """
-        new, spots = rule.births, self.clutter_rate(rule)
+        births, spots = rule.births, self.clutter_rate(rule)
         doubles = cover * self.near / max(on_targets, LEAST_ON_TARGETS)
-        density, lasting = new + spots + doubles, self.lasting(rule)
+        density, lasting = births + spots + doubles, self.lasting(rule)
         return Begins(
             density,
-            new / density,
+            births / density,
             lasting[0] * spots / density,
             lasting[1] * doubles / density,
             doubles / (spots + doubles),
@@ -304,8 +306,8 @@ class DetectionModel:
             return self
         from bayesnet_track.numerics.association import follow_sizes
 
-        known = self.size_mean, self.size_covariance, float(self.sizes)
-        mean, covariance = follow_sizes(np.ascontiguousarray(boxes), *known, SIZE_SD**2)
+        prior = self.size_mean, self.size_covariance, float(self.sizes)
+        mean, covariance = follow_sizes(np.ascontiguousarray(boxes), *prior, SIZE_SD**2)
         sizes = min(self.sizes + len(boxes), MEMORY_SIZES)
         return evolve(self, size_mean=mean, size_covariance=covariance, sizes=sizes)
 
@@ -313,16 +315,19 @@ class DetectionModel:
         """(N,) log density of a box (N, 4) that may be anywhere, of the sizes that detections have."""
         from bayesnet_track.numerics.association import log_size_densities
 
-        known = self.size_mean, self.size_covariance
-        sizes = log_size_densities(np.ascontiguousarray(boxes), *known, LEAST_SIZE_SD**2)
+        moments = self.size_mean, self.size_covariance
+        sizes = log_size_densities(np.ascontiguousarray(boxes), *moments, LEAST_SIZE_SD**2)
         return np.asarray(sizes - math.log(area_px2))
 
-    def after_look(self, false: float, near: float = 0.0) -> DetectionModel:
+    def after_look(self, false: float, on_targets: float = 0.0) -> DetectionModel:
         """After a frame with so many false detections of the background, and on targets."""
         frames = min(self.frames + 1.0, MEMORY_FRAMES)
         clutter = max(self.clutter + (false - self.clutter) / frames, 1e-3)
         return evolve(
-            self, clutter=clutter, near=max(self.near + (near - self.near) / frames, 1e-3), frames=frames
+            self,
+            clutter=clutter,
+            near=max(self.near + (on_targets - self.near) / frames, 1e-3),
+            frames=frames,
         )
 
     def after_over(self, over: Presence, rule: Existence) -> DetectionModel:
@@ -335,27 +340,27 @@ class DetectionModel:
         return evolve(self, begun=np.array([mean, np.minimum(count, MEMORY_SIZES)]))
 
     def after_chances(
-        self, cover: Floats, seen: Floats, existence: Floats, before: Floats | None = None
+        self, cover: Floats, detected: Floats, existence: Floats, previous: Floats | None = None
     ) -> DetectionModel:
         """After T targets could be detected; `cover` (T,) is how probably another one covers each.
 
-        `before` (T,) is how probably each was detected in the last look while nothing covered it.
+        `previous` (T,) is how probably each was detected in the last look while nothing covered it.
         """
-        hits, chances = _faded(self.hits, self.chances, 1.0 - cover, seen, existence)
-        covered = _faded(self.covered_hits, self.covered_chances, cover, seen, existence)
-        after = evolve(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
-        if before is None:
-            return after
-        again = _faded(self.again_hits, self.again_chances, (1.0 - cover) * before, seen, existence)
-        return evolve(after, again_hits=again[0], again_chances=again[1])
+        hits, chances = _faded(self.hits, self.chances, 1.0 - cover, detected, existence)
+        covered = _faded(self.covered_hits, self.covered_chances, cover, detected, existence)
+        model = evolve(self, hits=hits, chances=chances, covered_hits=covered[0], covered_chances=covered[1])
+        if previous is None:
+            return model
+        repeats = _faded(self.again_hits, self.again_chances, (1.0 - cover) * previous, detected, existence)
+        return evolve(model, again_hits=repeats[0], again_chances=repeats[1])
 
 
 def _faded(
-    hits: float, chances: float, share: Floats, seen: Floats, existence: Floats
+    hits: float, chances: float, share: Floats, detected: Floats, existence: Floats
 ) -> tuple[float, float]:
-    after = chances + float(share @ existence)
-    fade = min(1.0, MEMORY_CHANCES / after)
-    return (hits + float(share @ seen)) * fade, after * fade
+    total = chances + float(share @ existence)
+    fade = min(1.0, MEMORY_CHANCES / total)
+    return (hits + float(share @ detected)) * fade, total * fade
 
 
 @dataclass(frozen=True, eq=False)
@@ -408,18 +413,18 @@ class Shared:
 
 
 def share(expected: Expected, likelihoods: Pairs, log_nobody: Floats) -> Shared:
-    """Whose the detections are, by pairs with log N(z; m, P + R); `log_nobody` (N,) is log(c + b)."""
+    """Owners of the detections, by pairs with log N(z; m, P + R); `log_nobody` (N,) is log(c + b)."""
     r, detection = np.minimum(expected.existence, SURE), np.minimum(expected.detection, SURE)
     rows, columns = likelihoods.rows, likelihoods.columns
     hit = r * detection
     log_odds = np.log(np.maximum(hit, 1e-300)) - np.log1p(-hit)
     gains = log_odds[rows] + likelihoods.values - log_nobody[columns]
-    found = marginalise(rows, columns, np.exp(np.minimum(gains, 700.0)), (len(r), len(log_nobody)))
+    marginals = marginalise(rows, columns, np.exp(np.minimum(gains, 700.0)), (len(r), len(log_nobody)))
     silent = r * (1.0 - detection) / (1.0 - hit)
-    seen: Floats = np.bincount(rows, found.pairs, minlength=len(r)).astype(np.float64)
-    after = np.minimum(seen + found.missed * silent, 1.0)
-    weights = found.pairs / np.maximum(after, 1e-300)[rows]
-    kept = weights >= NEGLIGIBLE
-    pairs = Pairs(rows[kept], columns[kept], weights[kept])
+    detected: Floats = np.bincount(rows, marginals.pairs, minlength=len(r)).astype(np.float64)
+    existence = np.minimum(detected + marginals.missed * silent, 1.0)
+    weights = marginals.pairs / np.maximum(existence, 1e-300)[rows]
+    relevant = weights >= NEGLIGIBLE
+    pairs = Pairs(rows[relevant], columns[relevant], weights[relevant])
     missed = np.clip(1.0 - np.bincount(pairs.rows, pairs.values, minlength=len(r)), 0.0, 1.0)
-    return Shared(after, pairs, missed, seen, found.free, evolve(likelihoods, values=gains))
+    return Shared(existence, pairs, missed, detected, marginals.free, evolve(likelihoods, values=gains))

@@ -35,72 +35,80 @@ class Entangled:
         return dict(sorted(shares.items(), key=lambda share: -share[1]))
 
 
-def compose(known: Sequence[Entangled], placing: Placing, sure: float = 0.99) -> tuple[Entangled, ...]:
-    """What is known of identities after a meeting: the tracks became what members were before.
+def compose(beliefs: Sequence[Entangled], placing: Placing, sure: float = 0.99) -> tuple[Entangled, ...]:
+    """Beliefs about identities after a meeting: the tracks became what members were before.
 
     A track that is itself with probability `sure` is not doubtful any more.
     """
     met = {*placing.members, *placing.tracks}
-    before = [one for one in known if met.intersection(one.tracks)]
+    involved = [entangled for entangled in beliefs if met.intersection(entangled.tracks)]
     table: dict[tuple[str, ...], float] = {(): 1.0}
     names: tuple[str, ...] = ()
-    for one in before:
+    for entangled in involved:
         table = {
-            (*identities, *others): share * probability
+            (*identities, *addition): share * probability
             for identities, share in table.items()
-            for others, probability in zip(one.identities, one.probability, strict=True)
+            for addition, probability in zip(entangled.identities, entangled.probability, strict=True)
         }
-        names = (*names, *one.tracks)
-    others = [name for name in names if name not in met]
-    after: dict[tuple[str, ...], float] = {}
-    chosen = [*zip(placing.named(), placing.probability.tolist(), strict=True)]
+        names = (*names, *entangled.tracks)
+    outsiders = [name for name in names if name not in met]
+    merged: dict[tuple[str, ...], float] = {}
+    placings = [*zip(placing.named(), placing.probability.tolist(), strict=True)]
     for identities, share in table.items():
-        of = dict(zip(names, identities, strict=True))
-        rest = tuple(of[name] for name in others)
-        for members, probability in chosen:
-            key = (*rest, *(of.get(member, member) for member in members))
-            after[key] = after.get(key, 0.0) + share * probability
-    tracks = (*others, *placing.tracks)
-    return (*(one for one in known if one not in before), *only(tracks, after, tracks, sure))
+        identity_of = dict(zip(names, identities, strict=True))
+        unmet = tuple(identity_of[name] for name in outsiders)
+        for members, probability in placings:
+            key = (*unmet, *(identity_of.get(member, member) for member in members))
+            merged[key] = merged.get(key, 0.0) + share * probability
+    tracks = (*outsiders, *placing.tracks)
+    return (
+        *(entangled for entangled in beliefs if entangled not in involved),
+        *only(tracks, merged, tracks, sure),
+    )
 
 
 def only(
-    tracks: Sequence[str], table: Mapping[tuple[str, ...], float], left: Sequence[str], sure: float
+    tracks: Sequence[str], table: Mapping[tuple[str, ...], float], remaining: Sequence[str], sure: float
 ) -> tuple[Entangled, ...]:
-    """The doubtful ones of the tracks that are `left`, one set at most: others are summed over."""
-    every = {
+    """The doubtful ones of the tracks that are `remaining`, one set at most: others are summed over."""
+    self_share = {
         name: sum(share for identities, share in table.items() if identities[place] == name)
         for place, name in enumerate(tracks)
     }
-    kept = [place for place, name in enumerate(tracks) if name in left and every[name] < sure]
+    doubtful = [place for place, name in enumerate(tracks) if name in remaining and self_share[name] < sure]
     shares: dict[tuple[str, ...], float] = {}
     for identities, share in table.items():
-        key = tuple(identities[place] for place in kept)
+        key = tuple(identities[place] for place in doubtful)
         shares[key] = shares.get(key, 0.0) + share
     ranked = sorted(shares.items(), key=lambda item: -item[1])[:MOST_ASSIGNMENTS]
     ranked = [(key, share) for key, share in ranked if share >= LEAST_DOUBT]
     total = sum(share for _, share in ranked)
-    if not kept or not total:
+    if not doubtful or not total:
         return ()
-    names = tuple(tracks[place] for place in kept)
+    names = tuple(tracks[place] for place in doubtful)
     return (Entangled(names, tuple(key for key, _ in ranked), tuple(share / total for _, share in ranked)),)
 
 
-def keep_live(known: Sequence[Entangled], live: frozenset[str], sure: float) -> tuple[Entangled, ...]:
+def keep_live(beliefs: Sequence[Entangled], live: frozenset[str], sure: float) -> tuple[Entangled, ...]:
     """The same, of tracks that are live."""
-    after: list[Entangled] = []
-    for one in known:
-        left = [name for name in one.tracks if name in live]
-        if len(left) == len(one.tracks):
-            after.append(one)
+    updated: list[Entangled] = []
+    for entangled in beliefs:
+        remaining = [name for name in entangled.tracks if name in live]
+        if len(remaining) == len(entangled.tracks):
+            updated.append(entangled)
         else:
-            after += only(one.tracks, dict(zip(one.identities, one.probability, strict=True)), left, sure)
-    return tuple(after)
+            updated += only(
+                entangled.tracks,
+                dict(zip(entangled.identities, entangled.probability, strict=True)),
+                remaining,
+                sure,
+            )
+    return tuple(updated)
 
 
 @dataclass(frozen=True, eq=False)
 class PlateIdentities:
-    """What is remembered of the identities of a plate.
+    """Memory of the identities of a plate.
 
     Attributes:
         meetings: targets that are close, or were a short while ago.

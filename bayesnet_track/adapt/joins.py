@@ -146,12 +146,12 @@ def decide_joins(
     kinds = {name: net.targets[name].template for name in names}
     decisions: list[Joined | Parted] = []
     pairs: dict[Pair, PairMemory] = {}
-    known = {frozenset(pair): pair for pair in net.joins}
+    joined = {frozenset(pair): pair for pair in net.joins}
     always = any(rule.when.overlap == 0 for rule in rules)
     for i, k in zip(*np.nonzero(np.triu(np.ones_like(overlaps) if always else overlaps, 1)), strict=True):
         first, second = names[i], names[k]
         rule = join_of(rules, kinds[first], kinds[second])
-        if frozenset((first, second)) in known or rule is None or overlaps[i, k] < rules[rule].when.overlap:
+        if frozenset((first, second)) in joined or rule is None or overlaps[i, k] < rules[rule].when.overlap:
             continue
         pair = _order_pair(rules[rule], kinds, first, second)
         overlap = float(overlaps[i, k])
@@ -159,19 +159,19 @@ def decide_joins(
             Joined(frame, *pair, (kinds[pair[0]], kinds[pair[1]]), rule, overlap, rules[rule].when.overlap)
         )
         pairs[pair] = PairMemory(overlap=overlap)
-    at = {name: number for number, name in enumerate(names)}
+    rows = {name: number for number, name in enumerate(names)}
     for pair, join in net.joins.items():
-        if pair[0] not in at or pair[1] not in at:
+        if pair[0] not in rows or pair[1] not in rows:
             continue
-        before = memory.pairs.get(pair, PairMemory())
-        overlap = float(overlaps[at[pair[0]], at[pair[1]]])
+        previous = memory.pairs.get(pair, PairMemory())
+        overlap = float(overlaps[rows[pair[0]], rows[pair[1]]])
         when = rules[join.rule].when
-        apart = (*before.apart, overlap) if overlap < when.overlap else ()
-        if len(apart) >= when.apart_frames:
+        streak = (*previous.apart, overlap) if overlap < when.overlap else ()
+        if len(streak) >= when.apart_frames:
             together = frame - join.frame
-            decisions.append(Parted(frame, *pair, overlap, when.overlap, len(apart), max(apart), together))
+            decisions.append(Parted(frame, *pair, overlap, when.overlap, len(streak), max(streak), together))
         else:
-            pairs[pair] = evolve(before, overlap=overlap, apart=apart)
+            pairs[pair] = evolve(previous, overlap=overlap, apart=streak)
     return tuple(decisions), _prune(replace(memory, pairs=pairs), frozenset(names))
 
 
@@ -181,18 +181,18 @@ def spanning_tree(overlaps: Mapping[Pair, float]) -> tuple[tuple[Pair, ...], dic
     Kruskal's algorithm; of equal overlaps the earlier pair is taken.
     """
     group: dict[str, list[str]] = {}
-    taken: list[Pair] = []
-    rest: list[Pair] = []
-    for pair in sorted(overlaps, key=lambda one: -overlaps[one]):
+    tree: list[Pair] = []
+    left_out: list[Pair] = []
+    for pair in sorted(overlaps, key=lambda key: -overlaps[key]):
         first, second = (group.setdefault(name, [name]) for name in pair)
         if first is second:
-            rest.append(pair)
+            left_out.append(pair)
             continue
-        taken.append(pair)
+        tree.append(pair)
         first += second
         for name in second:
             group[name] = first
-    return tuple(taken), {pair: tuple(group[pair[0]]) for pair in rest}
+    return tuple(tree), {pair: tuple(group[pair[0]]) for pair in left_out}
 
 
 def _order_pair(rule: Join, kinds: Mapping[str, str], first: str, second: str) -> Pair:
@@ -207,15 +207,15 @@ def _prune(memory: JoinMemory, live: frozenset[str]) -> JoinMemory:
     joined = {name for pair in memory.pairs for name in pair}
     return JoinMemory(
         pairs=memory.pairs,
-        levels=dict(_of(memory.levels, live)),
-        carried=dict(_of(memory.carried, joined)),
-        centres=dict(_of(memory.centres, joined)),
-        hidden=dict(_of(memory.hidden, joined)),
-        carriers=dict(_of(memory.carriers, joined)),
+        levels=dict(_entries_of(memory.levels, live)),
+        carried=dict(_entries_of(memory.carried, joined)),
+        centres=dict(_entries_of(memory.centres, joined)),
+        hidden=dict(_entries_of(memory.hidden, joined)),
+        carriers=dict(_entries_of(memory.carriers, joined)),
         crosses={pair: memory.crosses[pair] for pair in memory.crosses if joined.issuperset(pair)},
     )
 
 
-def _of(known: Mapping[str, T], names: Iterable[str]) -> Iterator[tuple[str, T]]:
-    kept = set(names)
-    return ((name, one) for name, one in known.items() if name in kept)
+def _entries_of(mapping: Mapping[str, T], names: Iterable[str]) -> Iterator[tuple[str, T]]:
+    selected = set(names)
+    return ((name, value) for name, value in mapping.items() if name in selected)

@@ -104,7 +104,7 @@ class TrackHistory:
 
 
 def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | None:
-    """Why a net ends: (lost or unseen, for how many frames, the rule's number); None when it lives on."""
+    """The reason that ends a net: (lost or unseen, its frames, the rule's number); None when it lives on."""
     if record.lost_frames >= rule.lost_frames:
         return "lost", record.lost_frames, rule.lost_frames
     if rule.unseen_frames is not None and record.unseen_frames >= rule.unseen_frames:
@@ -129,19 +129,19 @@ def belief_overlap(mean_a: Floats, cov_a: Floats, mean_b: Floats, cov_b: Floats)
     box = (mean_a + mean_b) / 2
     widening = ((SAME_PLACE * box[..., [2, 3, 2, 3]]) ** 2)[..., None] * np.eye(4)
     first, second = cov_a + widening, cov_b + widening
-    both = (first + second) / 2
+    pooled = (first + second) / 2
     d = (mean_a - mean_b)[..., None]
-    shape = np.linalg.slogdet(both)[1] - (np.linalg.slogdet(first)[1] + np.linalg.slogdet(second)[1]) / 2
-    apart = (np.swapaxes(d, -1, -2) @ np.linalg.solve(both, d))[..., 0, 0]
-    return np.asarray(np.exp(-apart / 8 - np.maximum(shape, 0.0) / 2))
+    shape = np.linalg.slogdet(pooled)[1] - (np.linalg.slogdet(first)[1] + np.linalg.slogdet(second)[1]) / 2
+    distance2 = (np.swapaxes(d, -1, -2) @ np.linalg.solve(pooled, d))[..., 0, 0]
+    return np.asarray(np.exp(-distance2 / 8 - np.maximum(shape, 0.0) / 2))
 
 
 def overlapping(
     names: Sequence[str],
     means: Floats,
     covariances: Floats,
-    since: Sequence[int],
-    before: Mapping[tuple[str, str], tuple[float, ...]],
+    starts: Sequence[int],
+    previous: Mapping[tuple[str, str], tuple[float, ...]],
     rule: MergeDuplicates,
 ) -> dict[tuple[str, str], tuple[float, ...]]:
     """(younger, older) -> overlaps of their beliefs in the last frames; means (T, 4), covariances (T, 4, 4).
@@ -156,16 +156,16 @@ def overlapping(
     streaks = {}
     for pair in np.flatnonzero(values >= rule.overlap).tolist():
         i, j, value = int(first[pair]), int(second[pair]), float(values[pair])
-        older, younger = (names[k] for k in sorted((i, j), key=lambda k: (since[k], k)))
-        streak = (*before.get((younger, older), ()), value)
+        older, younger = (names[k] for k in sorted((i, j), key=lambda k: (starts[k], k)))
+        streak = (*previous.get((younger, older), ()), value)
         streaks[younger, older] = streak[-rule.frames :]
     return streaks
 
 
-def near_pairs(boxes: Floats, covariances: Floats, least: float = 0.0) -> tuple[Owners, Owners]:
+def near_pairs(boxes: Floats, covariances: Floats, min_overlap: float = 0.0) -> tuple[Owners, Owners]:
     """Rows i < j (P,) of centre boxes (T, 4) whose centres lie less than a box apart, in order.
 
-    Left out are those whose fields, each alone, rule out an overlap of `least`: cheap, and leaves few.
+    Left out are those whose fields, each alone, rule out an overlap of `min_overlap`: cheap, and leaves few.
 
     >>> near_pairs(np.array([[0.0, 0, 4, 4], [9, 0, 4, 4], [3, 0, 4, 4]]), np.zeros((3, 4, 4)))
     (array([0]), array([2]))
@@ -176,14 +176,14 @@ def near_pairs(boxes: Floats, covariances: Floats, least: float = 0.0) -> tuple[
 
     order, sides = np.argsort(boxes[:, 0], kind="stable"), np.sqrt(boxes[:, 2] * boxes[:, 3])
     variances = plain(np.diagonal(covariances, axis1=1, axis2=2))
-    limit = -8.0 * np.log(least) * (1.0 + 1e-9) if least > 0.0 else np.inf
+    limit = -8.0 * np.log(min_overlap) * (1.0 + 1e-9) if min_overlap > 0.0 else np.inf
     ends = pairs_alike(plain(boxes), sides, variances, order, limit, SAME_PLACE)
     if not len(ends[0]):
         return ends
     low, high = np.minimum(*ends), np.maximum(*ends)
-    away = np.hypot(boxes[low, 0] - boxes[high, 0], boxes[low, 1] - boxes[high, 1])
-    near = away / ((sides[low] + sides[high]) / 2) < 1.0
-    low, high = low[near], high[near]
+    distance = np.hypot(boxes[low, 0] - boxes[high, 0], boxes[low, 1] - boxes[high, 1])
+    is_near = distance / ((sides[low] + sides[high]) / 2) < 1.0
+    low, high = low[is_near], high[is_near]
     by_rows = np.lexsort((high, low))
     return low[by_rows], high[by_rows]
 
@@ -280,31 +280,34 @@ def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> 
     8) are kept: those seen most often, then those with the best scores.
     """
     confirm = rule.confirm
-    expected = np.array([one.box for one in candidates]).reshape(-1, 4)
-    expected[:, :2] += np.array([one.step for one in candidates]).reshape(-1, 2)
-    near, far = _follow(candidates, expected, free)
-    owner = np.maximum(near, far)
-    found = {k: row for row, k in enumerate(owner.tolist()) if k != UNASSIGNED}
-    scores, is_near = free.scores.tolist(), (far == UNASSIGNED).tolist()
-    kept = []
-    for number, one in enumerate(candidates):
-        row = found.get(number)
-        looks = (*one.looks, None if row is None else scores[row])[-confirm.of :]
+    expected = np.array([candidate.box for candidate in candidates]).reshape(-1, 4)
+    expected[:, :2] += np.array([candidate.step for candidate in candidates]).reshape(-1, 2)
+    nearest, distant = _follow(candidates, expected, free)
+    owner = np.maximum(nearest, distant)
+    matches = {k: row for row, k in enumerate(owner.tolist()) if k != UNASSIGNED}
+    scores, is_near = free.scores.tolist(), (distant == UNASSIGNED).tolist()
+    updated = []
+    for number, candidate in enumerate(candidates):
+        row = matches.get(number)
+        looks = (*candidate.looks, None if row is None else scores[row])[-confirm.of :]
         if row is None:
             if not _is_hopeless(looks, confirm):
-                kept.append(evolve(one, box=expected[number].copy(), looks=looks))
+                updated.append(evolve(candidate, box=expected[number].copy(), looks=looks))
             continue
-        box, is_far = free.boxes[row].copy(), one.is_far or not is_near[row]
-        track = (*one.track, (free.time, box))[-confirm.of :]
-        step = box[:2] - one.box[:2]
-        after = evolve(one, looks=looks, box=box, step=step, track=track, is_far=is_far)
-        kept.append(free.label_of(after, row))
+        box, is_far = free.boxes[row].copy(), candidate.is_far or not is_near[row]
+        track = (*candidate.track, (free.time, box))[-confirm.of :]
+        step = box[:2] - candidate.box[:2]
+        followed = evolve(candidate, looks=looks, box=box, step=step, track=track, is_far=is_far)
+        updated.append(free.label_of(followed, row))
     first = Candidate(np.empty(4), np.zeros(2), (), free.frame, "")
-    for new in np.flatnonzero(near == UNASSIGNED).tolist():  # one far from a candidate may be another's first
-        box = free.boxes[new].copy()
-        one = evolve(first, box=box, looks=(scores[new],), birth=free.births[new], track=((free.time, box),))
-        kept.append(free.label_of(one, new))
-    return keep_best(kept, rule)
+    # A detection far from a candidate may be another's first.
+    for index in np.flatnonzero(nearest == UNASSIGNED).tolist():
+        box = free.boxes[index].copy()
+        candidate = evolve(
+            first, box=box, looks=(scores[index],), birth=free.births[index], track=((free.time, box),)
+        )
+        updated.append(free.label_of(candidate, index))
+    return keep_best(updated, rule)
 
 
 def _follow(candidates: Sequence[Candidate], expected: Floats, free: FreeDetections) -> tuple[Owners, Owners]:
@@ -312,15 +315,15 @@ def _follow(candidates: Sequence[Candidate], expected: Floats, free: FreeDetecti
 
     Candidates are looked for where they are `expected`, centre boxes (C, 4).
     """
-    away = distances(free.boxes, expected)
-    owner = pair_up(away, np.full(away.shape, FOLLOW_BOX))
-    far = np.full_like(owner, UNASSIGNED)
-    near = away <= free.alone_box
-    alone = near & (near.sum(axis=0) == 1) & (near.sum(axis=1, keepdims=True) == 1)
-    for row, column in np.argwhere(alone).tolist():
+    gaps = distances(free.boxes, expected)
+    owner = pair_up(gaps, np.full(gaps.shape, FOLLOW_BOX))
+    distant = np.full_like(owner, UNASSIGNED)
+    is_near = gaps <= free.alone_box
+    is_alone = is_near & (is_near.sum(axis=0) == 1) & (is_near.sum(axis=1, keepdims=True) == 1)
+    for row, column in np.argwhere(is_alone).tolist():
         if owner[row] == UNASSIGNED and len(candidates[column].track) == 1:
-            far[row] = column
-    return owner, far
+            distant[row] = column
+    return owner, distant
 
 
 def look_again(
@@ -335,14 +338,14 @@ def look_again(
     return evolve(candidate, looks=looks, box=box.copy(), step=box[:2] - candidate.box[:2])
 
 
-def keep_best(kept: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
+def keep_best(candidates: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
     """No more than twice `rule.max_targets` (and 8): those seen most often, then those of the best scores."""
-    most = max(2 * rule.max_targets, 8)
-    if len(kept) <= most:
-        return tuple(kept)
-    best = sorted(range(len(kept)), key=lambda k: (-kept[k].seen, -kept[k].score, k))
-    chosen = sorted(best[:most])
-    return tuple(kept[k] for k in chosen)
+    limit = max(2 * rule.max_targets, 8)
+    if len(candidates) <= limit:
+        return tuple(candidates)
+    ranked = sorted(range(len(candidates)), key=lambda k: (-candidates[k].seen, -candidates[k].score, k))
+    selected = sorted(ranked[:limit])
+    return tuple(candidates[k] for k in selected)
 
 
 def is_confirmed(candidate: Candidate, confirm: Confirm) -> bool:
@@ -360,9 +363,9 @@ def _is_hopeless(looks: Sequence[float | None], confirm: Confirm) -> bool:
     return misses > confirm.of - confirm.hits
 
 
-def is_refusal_notable(before: int, after: int) -> bool:
-    """True when the number of refused births has reached 1, 10, 100, ... since it was `before`."""
+def is_refusal_notable(previous: int, count: int) -> bool:
+    """True when the number of refused births has reached 1, 10, 100, ... since it was `previous`."""
     level = 1
-    while level <= before:
+    while level <= previous:
         level *= 10
-    return after >= level
+    return count >= level

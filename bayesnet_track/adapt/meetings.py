@@ -56,7 +56,7 @@ SHARED_SD = 0.3
 
 @dataclass(frozen=True, eq=False)
 class SensorRates:
-    """What is measured of a plate's detections where it is plain whose they are.
+    """Measures of a plate's detections where it is plain whose they are.
 
     Attributes:
         d2: (G, 2) sums of d^2 / 2 of x, y and of w, h by `GAPS`: the mean is 1 if errors are those named.
@@ -73,11 +73,11 @@ class SensorRates:
     @property
     def scale2(self) -> Floats:
         """(G, 2) s^2; a class with few detections borrows from the one before."""
-        scales, before = np.empty_like(self.d2), np.ones(2)
+        scales, previous = np.empty_like(self.d2), np.ones(2)
         for place in range(len(GAPS)):
-            more = 0.0 if place == 0 else 8.0
-            before = (self.d2[place] + more * before) / (self.count[place] + more)
-            scales[place] = before
+            weight = 0.0 if place == 0 else 8.0
+            previous = (self.d2[place] + weight * previous) / (self.count[place] + weight)
+            scales[place] = previous
         return np.clip(scales, 1e-3, 1e3)
 
     @property
@@ -93,12 +93,12 @@ class SensorRates:
         sums, count = self.d2 * fade, self.count * fade
         np.add.at(sums, place, np.minimum(d2, 12.0))
         np.add.at(count, place, 1.0)
-        first, last = self.seen, self.clutter
+        first, clutter = self.seen, self.clutter
         return SensorRates(
             sums,
             count,
             (first[0] * fade + seen[0], first[1] * fade + seen[1]),
-            (last[0] * fade + free, last[1] * fade + 1.0),
+            (clutter[0] * fade + free, clutter[1] * fade + 1.0),
         )
 
 
@@ -219,24 +219,24 @@ def assignments(rows: int, columns: int) -> Ints:
     >>> assignments(2, 1).tolist()
     [[0, 1], [1, 0], [1, 1]]
     """
-    every = [
+    choices = [
         choice
         for choice in product(range(columns + 1), repeat=rows)
         if len({*choice} - {columns}) == sum(column < columns for column in choice)
     ]
-    return np.array(every, dtype=np.int64).reshape(-1, rows)
+    return np.array(choices, dtype=np.int64).reshape(-1, rows)
 
 
-def halves_of_d2(away: Floats, spread: Floats) -> tuple[Floats, Floats]:
+def halves_of_d2(offset: Floats, spread: Floats) -> tuple[Floats, Floats]:
     """(..., 2) halves of d^2 of x, y and of w, h, and of the log determinants of their covariances.
 
-    `away` are (..., 4), `spread` (..., 4, 4); correlations of places and sizes are left out.
+    `offset` are (..., 4), `spread` (..., 4, 4); correlations of places and sizes are left out.
     """
-    d2, log = np.empty((*away.shape[:-1], 2)), np.empty((*away.shape[:-1], 2))
+    d2, log = np.empty((*offset.shape[:-1], 2)), np.empty((*offset.shape[:-1], 2))
     for block, (i, j) in enumerate(((0, 1), (2, 3))):
         a, b, c = spread[..., i, i], spread[..., i, j], spread[..., j, j]
         determinant = np.maximum(a * c - b * b, 1e-12)
-        u, v = away[..., i], away[..., j]
+        u, v = offset[..., i], offset[..., j]
         d2[..., block] = 0.5 * (c * u * u - 2.0 * b * u * v + a * v * v) / determinant
         log[..., block] = 0.5 * np.log(determinant)
     return d2, log
@@ -244,53 +244,53 @@ def halves_of_d2(away: Floats, spread: Floats) -> tuple[Floats, Floats]:
 
 def advance(meeting: Meeting, sighting: Sighting, rates: SensorRates) -> Meeting:
     """The meeting, predicted to this frame, after its detections: every assignment, exactly; then merged."""
-    count, found = len(meeting.members), len(sighting.boxes)
+    count, columns = len(meeting.members), len(sighting.boxes)
     unseen = meeting.unseen + 1
     spread = meeting.covariance[:, :, None, :4, :4] + sighting.variances[:, :, None] * np.eye(4)
-    away = sighting.boxes - meeting.mean[:, :, None, :4]
-    d2, log_det = halves_of_d2(away, spread)
+    offset = sighting.boxes - meeting.mean[:, :, None, :4]
+    d2, log_det = halves_of_d2(offset, spread)
     scale2 = rates.scale2[gap_class(unseen)][:, :, None]
     log_density = -np.sum(d2 / scale2 + log_det + np.log(scale2), axis=-1) - 2.0 * np.log(2.0 * np.pi)
     chance = np.where(unseen == 1, rates.detection, min(rates.detection, 0.5))
-    gain = np.empty((len(unseen), count, found + 1))
-    gain[..., :found] = log_density + np.log(chance)[..., None] + sighting.looks - sighting.log_else
-    gain[..., :found][d2[..., 0] / scale2[..., 0] > FAR_D2 / 2.0] = -np.inf
-    gain[..., found] = np.log1p(-chance)
-    choices = assignments(count, found)
+    gain = np.empty((len(unseen), count, columns + 1))
+    gain[..., :columns] = log_density + np.log(chance)[..., None] + sighting.looks - sighting.log_else
+    gain[..., :columns][d2[..., 0] / scale2[..., 0] > FAR_D2 / 2.0] = -np.inf
+    gain[..., columns] = np.log1p(-chance)
+    choices = assignments(count, columns)
     log = meeting.log_weight[:, None] + gain[:, np.arange(count), choices].sum(axis=-1)
-    kept, chosen = np.nonzero(log > log.max() + np.log(LEAST))
-    order = np.argsort(-log[kept, chosen], kind="stable")[: 4 * MOST_HYPOTHESES]
-    kept, choice = kept[order], choices[chosen[order]]
-    after = _corrected(evolve(meeting, unseen=unseen), sighting, kept, choice)
-    return _merged(evolve(after, log_weight=log[kept, chosen[order]]))
+    parents, picked = np.nonzero(log > log.max() + np.log(LEAST))
+    order = np.argsort(-log[parents, picked], kind="stable")[: 4 * MOST_HYPOTHESES]
+    parents, choice = parents[order], choices[picked[order]]
+    corrected = _corrected(evolve(meeting, unseen=unseen), sighting, parents, choice)
+    return _merged(evolve(corrected, log_weight=log[parents, picked[order]]))
 
 
-def _corrected(meeting: Meeting, sighting: Sighting, kept: Ints, choice: Ints) -> Meeting:
-    """The hypotheses `kept` (K,) after the detections that `choice` (K, n) gives their members."""
-    found, count = len(sighting.boxes), len(meeting.members)
-    is_given = choice < found
-    mean, covariance = meeting.mean[kept].copy(), meeting.covariance[kept].copy()
+def _corrected(meeting: Meeting, sighting: Sighting, parents: Ints, choice: Ints) -> Meeting:
+    """The hypotheses `parents` (K,) after the detections that `choice` (K, n) gives their members."""
+    columns, count = len(sighting.boxes), len(meeting.members)
+    is_given = choice < columns
+    mean, covariance = meeting.mean[parents].copy(), meeting.covariance[parents].copy()
     k, i = np.nonzero(is_given)
     column = choice[k, i]
-    prior, own = covariance[k, i], mean[k, i]
+    prior, means = covariance[k, i], mean[k, i]
     spread = prior[:, :4, :4] + sighting.variances[column][:, :, None] * np.eye(4)
     gain = np.linalg.solve(spread, prior[:, :4, :]).transpose(0, 2, 1)
-    mean[k, i] = own + np.einsum("kds,ks->kd", gain, sighting.boxes[column] - own[:, :4])
-    left = prior - gain @ prior[:, :4, :]
-    covariance[k, i] = (left + left.transpose(0, 2, 1)) / 2.0
+    mean[k, i] = means + np.einsum("kds,ks->kd", gain, sighting.boxes[column] - means[:, :4])
+    posterior = prior - gain @ prior[:, :4, :]
+    covariance[k, i] = (posterior + posterior.transpose(0, 2, 1)) / 2.0
     looks = np.append(sighting.looks, np.zeros((count, 1)), axis=1)[np.arange(count), choice].sum(axis=1)
     number = np.where(is_given, meeting.count + 1 + choice, MISSED)
-    recent = meeting.recent[kept]
-    moved = np.concatenate([recent[..., 1:], number[..., None]], axis=-1)
+    recent = meeting.recent[parents]
+    shifted = np.concatenate([recent[..., 1:], number[..., None]], axis=-1)
     return evolve(
         meeting,
         mean=mean,
         covariance=covariance,
-        looks=meeting.looks[kept] + looks,
+        looks=meeting.looks[parents] + looks,
         # A miss moves nothing: the last detections say which state it is.
-        recent=np.where(is_given[..., None], moved, recent),
-        unseen=np.where(is_given, 0, meeting.unseen[kept]),
-        count=meeting.count + found,
+        recent=np.where(is_given[..., None], shifted, recent),
+        unseen=np.where(is_given, 0, meeting.unseen[parents]),
+        count=meeting.count + columns,
     )
 
 
@@ -310,9 +310,9 @@ def _merged(meeting: Meeting) -> Meeting:
     share = weight / total[group]
     mean = np.zeros((size, *meeting.mean.shape[1:]))
     np.add.at(mean, group, share[:, None, None] * meeting.mean)
-    off = meeting.mean - mean[group]
+    offset = meeting.mean - mean[group]
     covariance = np.zeros((size, *meeting.covariance.shape[1:]))
-    parts = meeting.covariance + off[..., :, None] * off[..., None, :]
+    parts = meeting.covariance + offset[..., :, None] * offset[..., None, :]
     np.add.at(covariance, group, share[:, None, None, None] * parts)
     merged = evolve(
         meeting,
@@ -345,7 +345,7 @@ def _normalised(log: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Placing:
-    """Who of a meeting is which track.
+    """Assignments of the members of a meeting to tracks.
 
     Attributes:
         tracks: m tracks.
@@ -379,21 +379,21 @@ class Placing:
 
 
 def place_tracks(meeting: Meeting, tracks: Sequence[str], mean: Floats, covariance: Floats) -> Placing:
-    """Which member each of m tracks is, by where hypotheses have the members; (m, D) and (m, D, D)."""
-    count, several = len(meeting.members), len(tracks)
-    away = mean[:, None, None, :4] - meeting.mean[None, :, :, :4]
+    """The member that each of m tracks is, by where hypotheses have the members; (m, D) and (m, D, D)."""
+    count, track_count = len(meeting.members), len(tracks)
+    offset = mean[:, None, None, :4] - meeting.mean[None, :, :, :4]
     spread = covariance[:, None, None, :4, :4] + meeting.covariance[None, :, :, :4, :4]
-    d2 = halves_of_d2(away, spread)[0][..., 0]
+    d2 = halves_of_d2(offset, spread)[0][..., 0]
     d2 = np.where(d2 < FAR_D2 / 2.0, d2, np.inf)
-    cost = np.append(d2, np.full((several, d2.shape[1], 1), FAR_D2 / 2.0), axis=2)
-    choices = assignments(several, count)
-    log = -cost[np.arange(several)[:, None], :, choices.T].sum(axis=0)
+    cost = np.append(d2, np.full((track_count, d2.shape[1], 1), FAR_D2 / 2.0), axis=2)
+    choices = assignments(track_count, count)
+    log = -cost[np.arange(track_count)[:, None], :, choices.T].sum(axis=0)
     log = log - np.logaddexp.reduce(log, axis=0) + meeting.log_weight
     probability = np.exp(log).sum(axis=1)
     looks = (np.exp(log) @ meeting.looks) / np.maximum(probability, 1e-300)
     left_out = (choices == count).sum(axis=1)
-    alike = left_out == left_out[np.argmax(probability)]
-    probability = (1.0 - LAPSE) * probability + LAPSE * alike / alike.sum()
+    same_size = left_out == left_out[np.argmax(probability)]
+    probability = (1.0 - LAPSE) * probability + LAPSE * same_size / same_size.sum()
     order = np.argsort(-probability, kind="stable")
     order = order[probability[order] > LEAST]
     share = probability[order] / probability[order].sum()
@@ -408,13 +408,13 @@ def close_pairs(mean: Floats, spread: Floats, limit: float) -> list[tuple[int, i
     order = np.argsort(mean[:, 0], kind="stable")
     x, reach = mean[order, 0], np.sqrt(limit * spread[order, 0, 0])
     # Two reaches lie at most sqrt(2) of the larger apart.
-    last = np.searchsorted(x, x + np.sqrt(2.0) * reach.max(initial=0.0), side="right")
-    pairs = [np.arange(k + 1, end) for k, end in enumerate(last.tolist())]
+    ends = np.searchsorted(x, x + np.sqrt(2.0) * reach.max(initial=0.0), side="right")
+    pairs = [np.arange(k + 1, end) for k, end in enumerate(ends.tolist())]
     first = order[np.repeat(np.arange(len(mean)), [len(some) for some in pairs])]
     second = order[np.concatenate(pairs)] if pairs else np.empty(0, dtype=np.int64)
     value = halves_of_d2(mean[first] - mean[second], spread[first] + spread[second])[0][:, 0]
-    close = np.flatnonzero(value < limit / 2.0)
-    ranked = close[np.argsort(value[close], kind="stable")]
+    closest = np.flatnonzero(value < limit / 2.0)
+    ranked = closest[np.argsort(value[closest], kind="stable")]
     return [*zip(first[ranked].tolist(), second[ranked].tolist(), strict=True)]
 
 
@@ -423,9 +423,9 @@ def spread_of_shared(meeting: Meeting, boxes: Floats) -> Floats:
 
     Such a box holds two members of the most probable hypothesis, of which no other box holds one.
     """
-    away = np.abs(boxes[:, None, :2] - meeting.mean[0, :, :2])
-    holds = (away < boxes[:, None, 2:] / 2.0).all(axis=2)
-    alone = holds & (holds.sum(axis=0) == 1)
-    shared = alone.sum(axis=1) >= 2
+    offset = np.abs(boxes[:, None, :2] - meeting.mean[0, :, :2])
+    holds = (offset < boxes[:, None, 2:] / 2.0).all(axis=2)
+    exclusive = holds & (holds.sum(axis=0) == 1)
+    shared = exclusive.sum(axis=1) >= 2
     sides = boxes[:, [2, 3, 2, 3]]
     return np.asarray(np.where(shared[:, None], (SHARED_SD * sides) ** 2, 0.0))

@@ -63,8 +63,8 @@ class InformationRate:
 
 def goes_by_information(rules: Adapt) -> bool:
     """True where rules choose agents by what they contributed."""
-    on = rules.activate is not None and rules.activate.which == "information_per_ms"
-    return on or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
+    activates = rules.activate is not None and rules.activate.which == "information_per_ms"
+    return activates or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
 
 
 BASELINE_WINDOW = 50
@@ -110,14 +110,16 @@ def layout_of(plate: CheckedTarget) -> Layout:
             rule = getattr(rules, kind)
             if rule is not None:
                 frames[kind, node] = rule.frames
-    own = {(key, agent): rule for agent in plate.agents for key, rule in plate.agent(agent).rules.items()}
-    frames |= {streak: rule.frames for streak, rule in own.items()}
+    agent_rules = {
+        (key, agent): rule for agent in plate.agents for key, rule in plate.agent(agent).rules.items()
+    }
+    frames |= {streak: rule.frames for streak, rule in agent_rules.items()}
     return Layout(
         {agent: column for column, agent in enumerate(plate.agents)},
         {streak: column for column, streak in enumerate(frames)},
         np.array(list(frames.values()), dtype=np.int64),
         nodes,
-        tuple(own),
+        tuple(agent_rules),
     )
 
 

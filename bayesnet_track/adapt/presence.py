@@ -39,7 +39,7 @@ def _none() -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Presence:
-    """What is known of T targets or unconfirmed tracks beside the probability that each exists.
+    """Beliefs about T targets or unconfirmed tracks beside the probability that each exists.
 
     Attributes:
         blind: (T,) probability that it is blind, given that it is a target.
@@ -79,10 +79,10 @@ class Presence:
         """Some of them."""
         return Presence(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
-    def extend(self, others: Presence) -> Presence:
+    def extend(self, added: Presence) -> Presence:
         """These, then others."""
         names = self.__dataclass_fields__
-        return Presence(*(np.concatenate([getattr(self, n), getattr(others, n)]) for n in names))
+        return Presence(*(np.concatenate([getattr(self, n), getattr(added, n)]) for n in names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,17 +98,17 @@ class Known:
     presence: Presence = field(default_factory=Presence)
 
     def of(self, names: Sequence[str]) -> Presence:
-        """That of targets; of those that are not known, that of sure ones."""
+        """The presence of targets; of those that are not known, that of sure ones."""
         if tuple(names) == self.names:
             return self.presence
-        at = {name: row for row, name in enumerate(self.names)}
-        both = self.presence.extend(Presence.sure(1))
-        return both.take(np.array([at.get(name, len(self.names)) for name in names], dtype=np.int64))
+        rows = {name: row for row, name in enumerate(self.names)}
+        extended = self.presence.extend(Presence.sure(1))
+        return extended.take(np.array([rows.get(name, len(self.names)) for name in names], dtype=np.int64))
 
 
 @dataclass(frozen=True)
 class Chain:
-    """How the states of a target follow each other, a frame interval apart.
+    """Transitions between the states of a target, a frame interval apart.
 
     Attributes:
         detection: probability that an open target is detected.
@@ -130,10 +130,10 @@ class Chain:
 
 def pass_time(presence: Presence, chain: Chain, dt: float) -> Presence:
     """The presence as it is expected after `dt` frame intervals in which nobody looked."""
-    kept = max(1.0 - chain.enter - chain.leave, 0.0) ** dt
+    persistence = max(1.0 - chain.enter - chain.leave, 0.0) ** dt
     lasts = (1.0 - chain.false_ends) ** dt
     free = 1.0 - presence.hidden
-    blind = chain.blind_share * free + (presence.blind - chain.blind_share * free) * kept
+    blind = chain.blind_share * free + (presence.blind - chain.blind_share * free) * persistence
     return evolve(presence, blind=blind, spot=lasts * presence.spot, double=lasts * presence.double)
 
 
@@ -145,8 +145,8 @@ def expect_cover(presence: Presence, cover: Floats, share: float) -> Presence:
     hidden, blind = presence.hidden, presence.blind
     enter = cover * share * (1.0 - LASTS * cover)
     stay = cover * (share + (1.0 - share) * LASTS * cover)
-    after = (1.0 - hidden - blind) * enter + hidden * stay
-    return evolve(presence, hidden=after, double=presence.double * cover)
+    expected = (1.0 - hidden - blind) * enter + hidden * stay
+    return evolve(presence, hidden=expected, double=presence.double * cover)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,13 +167,15 @@ class Weights:
     def of(
         cls, existence: Floats, presence: Presence, chain: Chain, visible: Floats | float = 1.0
     ) -> Weights:
-        """Those of targets that exist with `existence` (T,) and can be seen with probability `visible`."""
+        """Weights of targets that exist with `existence` (T,) and can be seen with probability `visible`."""
         unseen = np.minimum(UNSEEN, chain.detection) * np.ones(len(existence))
-        seen = chain.detection * np.ones(len(existence))
+        detected = chain.detection * np.ones(len(existence))
         opened = np.maximum(1.0 - presence.blind - presence.hidden, 0.0)
         targets = (existence * part for part in (opened, presence.blind, presence.hidden))
         states = np.column_stack([*targets, presence.spot, presence.double])
-        detection = np.column_stack([seen * visible, unseen * visible, unseen * visible, seen, seen])
+        detection = np.column_stack(
+            [detected * visible, unseen * visible, unseen * visible, detected, detected]
+        )
         return cls(states, detection, presence)
 
     @property
@@ -187,8 +189,8 @@ class Weights:
         hit = (self.states * self.detection).sum(axis=1)
         return np.asarray(hit / np.maximum(self.states.sum(axis=1), 1e-300))
 
-    def after(self, seen: Floats) -> tuple[Floats, Presence]:
-        """Existence (T,) and presence after a look in which each was detected with probability `seen` (T,).
+    def after(self, detected: Floats) -> tuple[Floats, Presence]:
+        """Existence (T,) and presence after a look; `detected` (T,): probability that each was detected.
 
         >>> states, detection = np.array([[0.5, 0.2, 0, 0.1, 0]]), np.array([[0.9, 0.05, 0.05, 0.9, 0.9]])
         >>> weights = Weights(states, detection, Presence.sure(1))
@@ -200,11 +202,11 @@ class Weights:
         hit = hits.sum(axis=1)
         if_seen = hits / np.maximum(hit, 1e-300)[:, None]
         if_missed = misses / np.maximum(1.0 - hit, 1e-300)[:, None]
-        now = seen[:, None] * if_seen + (1.0 - seen)[:, None] * if_missed
-        existence = now[:, :3].sum(axis=1)
-        blind, hidden = now[:, 1:3].T / np.maximum(existence, 1e-300)
-        states = {"blind": blind, "hidden": hidden, "spot": now[:, 3], "double": now[:, 4]}
-        return np.minimum(existence, 1.0), evolve(self.presence, **states, seen=self.presence.seen + seen)
+        posterior = detected[:, None] * if_seen + (1.0 - detected)[:, None] * if_missed
+        existence = posterior[:, :3].sum(axis=1)
+        blind, hidden = posterior[:, 1:3].T / np.maximum(existence, 1e-300)
+        states = {"blind": blind, "hidden": hidden, "spot": posterior[:, 3], "double": posterior[:, 4]}
+        return np.minimum(existence, 1.0), evolve(self.presence, **states, seen=self.presence.seen + detected)
 
 
 SHIFT = 1.0 / 3.0
@@ -222,4 +224,4 @@ def probability_in_box(mean: Floats, covariance: Floats) -> Floats:
     """
     sd = np.sqrt(np.maximum(covariance[:, (0, 1), (0, 1)], 1e-12))
     reach = (SHIFT * mean[:, 2:4] / sd / math.sqrt(2.0)).ravel().tolist()
-    return np.asarray(np.array([math.erf(one) for one in reach]).reshape(-1, 2).prod(axis=1))
+    return np.asarray(np.array([math.erf(value) for value in reach]).reshape(-1, 2).prod(axis=1))

@@ -194,7 +194,7 @@ def _read(
         nothing = np.zeros(len(inputs), np.bool_)
         return _Reading(np.zeros(len(inputs)), nothing, nothing)
     pairs = zip(insides, inputs.measures.uds[node].tolist(), strict=True)
-    shares = np.array([apply_test(test.concentrated, inside, ud).value for inside, ud in pairs])
+    shares = np.array([apply_test(test.concentrated, window, ud).value for window, ud in pairs])
     is_above = shares < test.concentrated.share
     return _Reading(shares, is_above, ~is_above)
 
@@ -288,26 +288,26 @@ def _judge_fits(inputs: RuleColumns, memory: RuleMemory, rule: Lost, streaks: St
     if inputs.is_unasked is not None:
         fits |= inputs.is_unasked
     looks_found, values = fits > is_wide, np.fmax(reading.values, 0.0)  # 0 where it cannot be told
-    lost, unfit, found, seen = range(4)  # places in `STATUS_STREAKS`, which come first
-    streaks.holds[:, :found] = ~looks_found[:, None]
-    streaks.holds[:, found] = looks_found
+    lost, unfit, recovered, recognised = range(4)  # places in `STATUS_STREAKS`, which come first
+    streaks.holds[:, :recovered] = ~looks_found[:, None]
+    streaks.holds[:, recovered] = looks_found
     streaks.values[:, lost] = np.where(fits, values, np.inf)
     streaks.values[:, unfit] = np.where(is_wide, -np.inf, inputs.measures.fits)
-    streaks.values[:, found] = values
-    streaks.keeps[:, seen : len(STATUS_STREAKS)] = True
+    streaks.values[:, recovered] = values
+    streaks.keeps[:, recognised : len(STATUS_STREAKS)] = True
     if inputs.is_unasked is not None:
-        streaks.keeps[inputs.is_unasked & ~is_wide, :seen] = True
+        streaks.keeps[inputs.is_unasked & ~is_wide, :recognised] = True
 
 
 def _due(inputs: RuleColumns, counts: Ints, frames: int, two_levels: bool) -> Bools:
     """(T,) whose status may change."""
     if inputs.is_hidden is None and not two_levels and not inputs.statuses.any():
         return np.asarray(counts[:, 0] >= frames)  # the usual case: all are tracked
-    lost, _, found, seen, unsure = (counts[:, : len(STATUS_STREAKS)] >= frames).T
+    lost, _, recovered, recognised, unsure = (counts[:, : len(STATUS_STREAKS)] >= frames).T
     is_lost = inputs.statuses == STATUSES.index("lost")
-    is_due = np.where(is_lost, found, lost)
+    is_due = np.where(is_lost, recovered, lost)
     if two_levels or (inputs.statuses == STATUSES.index("uncertain")).any():
-        is_due |= np.where(is_lost, seen, np.where(inputs.statuses == 0, unsure, found))
+        is_due |= np.where(is_lost, recognised, np.where(inputs.statuses == 0, unsure, recovered))
     if inputs.is_hidden is not None:
         is_due = np.where(inputs.is_hidden, ~is_lost, is_due)
     return np.asarray(is_due)

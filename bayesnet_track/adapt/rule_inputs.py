@@ -44,11 +44,11 @@ class Reading:
         return Cause(self.unit, self.level, self.value, frames, turning, self.ud_px2, self.scale_px2)
 
     def cause_above(self, frames: int, values: tuple[float, ...]) -> Cause:
-        """Why a rule fired that asks for UD above the level; `values` are those of its streak."""
+        """The cause of a rule that asks for UD above the level; `values` are those of its streak."""
         return self.cause(frames, min(values))
 
     def cause_below(self, frames: int, values: tuple[float, ...]) -> Cause:
-        """Why a rule fired that asks for UD below the level."""
+        """The cause of a rule that asks for UD below the level."""
         return self.cause(frames, max(values))
 
 
@@ -104,30 +104,30 @@ class Tested:
         return not self.above
 
     def cause_above(self, frames: int, values: tuple[float, ...]) -> Concentration:
-        """Why a rule fired that asks for no concentration; `values` are those of its streak."""
+        """The cause of a rule that asks for no concentration; `values` are those of its streak."""
         return self._cause(frames, max(values))
 
     def cause_below(self, frames: int, values: tuple[float, ...]) -> Concentration:
-        """Why a rule fired that asks for concentration."""
+        """The cause of a rule that asks for concentration."""
         return self._cause(frames, min(values))
 
     def _cause(self, frames: int, turning: float) -> Concentration:
-        test, inside = self.test, self.inside
+        test, window = self.test, self.inside
         return Concentration(
             share=test.share,
             within_box=test.within_box,
             confidence=test.confidence,
-            inside=inside.share,
-            trials=inside.trials,
+            inside=window.share,
+            trials=window.trials,
             vouched=self.value,
             frames=frames,
             turning=turning,
-            radius_px=inside.radius_px,
+            radius_px=window.radius_px,
             ud_px2=self.ud_px2,
         )
 
 
-def apply_test(test: Concentrated, inside: Inside, ud_px2: float) -> Tested:
+def apply_test(test: Concentrated, window: Inside, ud_px2: float) -> Tested:
     """The test on what lies inside its window.
 
     >>> few = apply_test(Concentrated(share=0.9), Inside(1.0, 20.0, 10.0), 25.0)
@@ -135,7 +135,7 @@ def apply_test(test: Concentrated, inside: Inside, ud_px2: float) -> Tested:
     >>> few.below, more.below
     (False, True)
     """
-    return Tested(test, inside, vouched_share(inside.share, inside.trials, test.confidence), ud_px2)
+    return Tested(test, window, vouched_share(window.share, window.trials, test.confidence), ud_px2)
 
 
 PartStatus = Literal["seen", "hidden", "unwatched"]
@@ -234,18 +234,19 @@ class GroupMeasures:
         """The columns of targets that were measured one by one, by the same agents."""
         head = measures[0]
         agents = (*head.contribution,)
-        nats = [[one.contribution[agent] for agent in agents] for one in measures]
+        nats = [[measured.contribution[agent] for agent in agents] for measured in measures]
         return cls(
-            uds={node: np.array([one.ud_px2[node] for one in measures]) for node in head.ud_px2},
-            areas=np.array([one.area_px2 for one in measures]),
-            fits=np.array([one.fit for one in measures]),
+            uds={node: np.array([measured.ud_px2[node] for measured in measures]) for node in head.ud_px2},
+            areas=np.array([measured.area_px2 for measured in measures]),
+            fits=np.array([measured.fit for measured in measures]),
             agents=agents,
             nats=np.array(nats).reshape(len(measures), len(agents)),
             of=measures.__getitem__,
             part_areas={
-                part: np.array([one.parts[part].area_px2 for one in measures]) for part in head.parts
+                part: np.array([measured.parts[part].area_px2 for measured in measures])
+                for part in head.parts
             },
-            insides={key: [one.inside[key] for one in measures] for key in head.inside},
+            insides={key: [measured.inside[key] for measured in measures] for key in head.inside},
         )
 
 
@@ -334,20 +335,22 @@ def baseline_level(
     return memory.level_px2(node, plate.below[node] & active)
 
 
-def read_ud(now: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
+def read_ud(inputs: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
     """The UD of an inference node in the level's unit."""
-    quiet = baseline_level(now.plate, now.net.active, memory, node) if level.kind == "ud_baseline" else None
-    return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
+    quiet = (
+        baseline_level(inputs.plate, inputs.net.active, memory, node) if level.kind == "ud_baseline" else None
+    )
+    return read_level(level, inputs.measures.ud_px2[node], inputs.measures.area_of(node), quiet)
 
 
-def read_ud_beside_more(now: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
-    """As `read_ud`, by the baseline of more agents than are on where that of so few is unknown.
+def read_ud_beside_more(inputs: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
+    """Read the UD as `read_ud`, by the baseline of more agents than are on where that of so few is unknown.
 
     It is the lower one, so that help is called early; for a target that is lost, of which no baseline is
     measured.
     """
     quiet = memory.level_px2(node, frozenset())
-    return read_level(level, now.measures.ud_px2[node], now.measures.area_of(node), quiet)
+    return read_level(level, inputs.measures.ud_px2[node], inputs.measures.area_of(node), quiet)
 
 
 def count_left_out(plate: CheckedTarget, active: AbstractSet[str], node: str) -> int:
@@ -355,21 +358,21 @@ def count_left_out(plate: CheckedTarget, active: AbstractSet[str], node: str) ->
     adapt = plate.inference(node).adapt
     if adapt is None or adapt.agents is None:
         return 0
-    below = plate.below[node]
-    return sum(plate.governor[agent] not in (node, *below) for agent in active & below)
+    descendants = plate.below[node]
+    return sum(plate.governor[agent] not in (node, *descendants) for agent in active & descendants)
 
 
 def cause_of(
-    now: RuleInputs, memory: RuleMemory, streak: Streak, rule: AgentRule, frames: int
+    inputs: RuleInputs, memory: RuleMemory, streak: Streak, rule: AgentRule, frames: int
 ) -> Cause | RuleCause:
     """The numbers of a rule by which an agent switches itself, whose streak has reached so many frames."""
     key, agent = streak
-    value, level, unit = float(rule.values(AgentColumns(agent, (now,)))[0]), rule.level, rule.unit
+    value, level, unit = float(rule.values(AgentColumns(agent, (inputs,)))[0]), rule.level, rule.unit
     values = memory.streak_values(streak)[-frames:]
     turning = min(values) if rule.relation == ">" else max(values)
     if isinstance(level, Level):
-        quiet = baseline_level(now.plate, now.net.active, memory, now.plate.root)
-        reading = read_level(level, value, now.measures.area_px2, quiet)
+        quiet = baseline_level(inputs.plate, inputs.net.active, memory, inputs.plate.root)
+        reading = read_level(level, value, inputs.measures.area_px2, quiet)
         assert reading is not None
         if rule.cause == "ud":
             return reading.cause(frames, turning)

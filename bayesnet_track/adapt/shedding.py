@@ -95,19 +95,19 @@ def balance(
     """
     decisions: list[Decision] = []
     load = replace(load, frames=load.frames + 1)
-    for one in timing:
-        if isinstance(one, LateFrame):
-            load = _late(one, running, load, frame, decisions)
+    for notice in timing:
+        if isinstance(notice, LateFrame):
+            load = _late(notice, running, load, frame, decisions)
         else:
-            load = _in_time(one, running, load, frame, decisions)
+            load = _in_time(notice, running, load, frame, decisions)
     return tuple(decisions), load
 
 
 def _late(
     notice: LateFrame, running: Mapping[str, Running], load: Load, frame: int, decisions: list[Decision]
 ) -> Load:
-    now = load.frames
-    late = (*(one for one in load.late if one[0] > now - WITHIN), (now, notice.spent_ms))
+    frames = load.frames
+    late = (*(entry for entry in load.late if entry[0] > frames - WITHIN), (frames, notice.spent_ms))
     load = replace(load, late=late, calm=0)
     if len(late) < LATE:
         return load
@@ -116,8 +116,8 @@ def _late(
     decisions += shed
     if not shed:
         return load
-    too_soon = load.back is not None and now - load.back <= SOON
-    return Load(wait=min(load.wait * 2, MOST_CALM) if too_soon else CALM, back=load.back, frames=now)
+    too_soon = load.back is not None and frames - load.back <= SOON
+    return Load(wait=min(load.wait * 2, MOST_CALM) if too_soon else CALM, back=load.back, frames=frames)
 
 
 def _shed_agents(
@@ -128,56 +128,58 @@ def _shed_agents(
     frame: int,
 ) -> list[Decision]:
     """Agents that say least per ms, until by declared costs enough is saved; at least one if possible."""
-    total = sum(one.costs_ms[agent] for one in running.values() for agent in one.net.active)
+    total = sum(run.costs_ms[agent] for run in running.values() for agent in run.net.active)
     to_save, saved = total * (1.0 - notice.budget_ms / spent), 0.0
     turning = sorted(ms for _, ms in late)[-LATE]
     index = {
-        (target, agent): (one.memory.helpfulness(agent) or 0.0) / one.costs_ms[agent]
-        for target, one in running.items()
-        for agent in sorted(one.net.active - one.net.by_hand.keys())
+        (target, agent): (run.memory.helpfulness(agent) or 0.0) / run.costs_ms[agent]
+        for target, run in running.items()
+        for agent in sorted(run.net.active - run.net.by_hand.keys())
     }
     gone: dict[str, set[str]] = {target: set() for target in running}
     shed: list[Decision] = []
     for target, agent in sorted(index, key=lambda pair: index[pair]):
-        one = running[target]
-        if (shed and saved >= to_save) or not _can_go(one, agent, gone[target]):
+        run = running[target]
+        if (shed and saved >= to_save) or not _can_go(run, agent, gone[target]):
             continue
-        own = {name: index[target, name] for name in one.net.active - gone[target] if (target, name) in index}
+        indices = {
+            name: index[target, name] for name in run.net.active - gone[target] if (target, name) in index
+        }
         gone[target].add(agent)
-        saved += one.costs_ms[agent]
+        saved += run.costs_ms[agent]
         numbers = (spent, notice.budget_ms, len(late), WITHIN, turning)
-        shed.append(Shed(frame, target, agent, *numbers, own))
+        shed.append(Shed(frame, target, agent, *numbers, indices))
     return shed
 
 
-def _can_go(one: Running, agent: str, gone: set[str]) -> bool:
+def _can_go(run: Running, agent: str, gone: set[str]) -> bool:
     """True where the node that governs it keeps enough others.
 
     The last that is not on call stays with those on call, which would run in every frame without it.
     """
-    governor = one.plate.governor[agent]
-    rules = None if governor is None else one.plate.inference(governor).adapt
-    working = one.net.active - gone
-    if on_call_rule(one.plate) is not None:
-        first = {name for name in working if one.plate.governor[name] != one.plate.root}
+    governor = run.plate.governor[agent]
+    rules = None if governor is None else run.plate.inference(governor).adapt
+    working = run.net.active - gone
+    if on_call_rule(run.plate) is not None:
+        first = {name for name in working if run.plate.governor[name] != run.plate.root}
         if first == {agent}:
             return False
-    left = sum(one.plate.governor[name] == governor for name in working)
+    remaining = sum(run.plate.governor[name] == governor for name in working)
     if governor is not None:
-        left += count_left_out(one.plate, working, governor)
-    return left > (0 if rules is None else rules.keep) and len(working) > 1
+        remaining += count_left_out(run.plate, working, governor)
+    return remaining > (0 if rules is None else rules.keep) and len(working) > 1
 
 
 def _fewer(notice: LateFrame, running: Mapping[str, Running], spent: float, frame: int) -> list[Decision]:
     factor = max(notice.budget_ms / spent, LEAST_FACTOR)
     limited: list[Decision] = []
-    for target, one in running.items():
-        if one.particles is None:
+    for target, run in running.items():
+        if run.particles is None:
             continue
-        before = one.particles if one.net.most_particles is None else one.net.most_particles
-        most = max(int(before * factor), one.least)
-        if most < before:
-            limited.append(ParticlesLimited(frame, target, most, before, spent, notice.budget_ms))
+        previous = run.particles if run.net.most_particles is None else run.net.most_particles
+        limit = max(int(previous * factor), run.least)
+        if limit < previous:
+            limited.append(ParticlesLimited(frame, target, limit, previous, spent, notice.budget_ms))
     return limited
 
 
@@ -187,34 +189,36 @@ def _in_time(
     load = replace(load, calm=load.calm + notice.frames)
     if load.calm < load.wait:
         return load
-    back = _more(notice, running, frame) or _take_back(notice, running, load, frame)
+    back = _more_hypotheses(notice, running, frame) or _take_back(notice, running, load, frame)
     decisions += back
     return replace(load, late=(), calm=0, back=load.frames) if back else load
 
 
-def _more(notice: SpareTime, running: Mapping[str, Running], frame: int) -> list[Decision]:
+def _more_hypotheses(notice: SpareTime, running: Mapping[str, Running], frame: int) -> list[Decision]:
     """Twice as many hypotheses where they are limited, if that fits."""
     if 2.0 * notice.spent_ms > ROOM * notice.budget_ms:
         return []
     limited: list[Decision] = []
-    for target, one in running.items():
-        before = one.net.most_particles
-        if before is not None:
-            most = 2 * before if 2 * before < one.most else None
-            limited.append(ParticlesLimited(frame, target, most, before, notice.spent_ms, notice.budget_ms))
+    for target, run in running.items():
+        previous = run.net.most_particles
+        if previous is not None:
+            limit = 2 * previous if 2 * previous < run.most else None
+            limited.append(
+                ParticlesLimited(frame, target, limit, previous, notice.spent_ms, notice.budget_ms)
+            )
     return limited
 
 
 def _take_back(notice: SpareTime, running: Mapping[str, Running], load: Load, frame: int) -> list[Decision]:
     """The agent of one target that was shed last, if it fits by declared costs."""
-    if any(one.net.most_particles is not None for one in running.values()):
+    if any(run.net.most_particles is not None for run in running.values()):
         return []
-    total = sum(one.costs_ms[agent] for one in running.values() for agent in one.net.active)
-    for target, one in running.items():
-        for agent in reversed(one.net.shed):
-            if agent in one.net.quarantined:
+    total = sum(run.costs_ms[agent] for run in running.values() for agent in run.net.active)
+    for target, run in running.items():
+        for agent in reversed(run.net.shed):
+            if agent in run.net.quarantined:
                 continue
-            expected = notice.spent_ms * (1.0 + one.costs_ms[agent] / max(total, 1e-9))
+            expected = notice.spent_ms * (1.0 + run.costs_ms[agent] / max(total, 1e-9))
             if expected <= ROOM * notice.budget_ms:
                 numbers = (notice.spent_ms, expected, notice.budget_ms, load.calm)
                 return [TakenBack(frame, target, agent, *numbers)]

@@ -32,20 +32,20 @@ def quarantine(net: TargetNet, frame: int, target: str, agent: str, reason: str)
     >>> first.until, first.times
     (15, 1)
     """
-    until, times = next_try(frame, net.faults.get(agent))
-    return Quarantined(frame, target, agent, reason, until, times)
+    next_frame, times = next_try(frame, net.faults.get(agent))
+    return Quarantined(frame, target, agent, reason, next_frame, times)
 
 
-def next_try(frame: int, before: Fault | None) -> tuple[int, int]:
+def next_try(frame: int, fault: Fault | None) -> tuple[int, int]:
     """Frame in which what failed in `frame` is tried again, and how many times in a row it has failed.
 
     >>> next_try(15, Fault(1, 5, 15, True)), next_try(200, Fault(1, 5, 15, True))
     ((35, 2), (210, 1))
     """
     times = 1
-    if before is not None and before.until is not None:
-        worked, waited = frame - before.until, before.until - before.frame
-        times = before.times + 1 if worked < STEADY * waited else 1
+    if fault is not None and fault.until is not None:
+        worked, waited = frame - fault.until, fault.until - fault.frame
+        times = fault.times + 1 if worked < STEADY * waited else 1
     return frame + min(FIRST_WAIT * 2 ** min(times - 1, 20), LONGEST_WAIT), times
 
 
@@ -60,22 +60,22 @@ def is_due(net: TargetNet, frame: int) -> bool:
     return net.turn is None or frame >= net.turn.due or net.status == "lost"
 
 
-def judge_status(now: RuleInputs, memory: RuleMemory, decisions: list[Decision]) -> None:
+def judge_status(inputs: RuleInputs, memory: RuleMemory, decisions: list[Decision]) -> None:
     """Change the status after as many frames as the rule says.
 
     A target that probably cannot be seen, by its modes, is lost at once: their memory is in that probability.
     """
-    rule = now.plate.lost
-    if now.hiding is not None and now.hiding.hidden > now.hiding.level:
-        if now.net.status != "lost":
-            decisions.append(StatusChanged(now.frame, now.target, "lost", hidden=now.hiding))
-    elif now.existence is not None and rule.existence_rule is not None:
+    rule = inputs.plate.lost
+    if inputs.hiding is not None and inputs.hiding.hidden > inputs.hiding.level:
+        if inputs.net.status != "lost":
+            decisions.append(StatusChanged(inputs.frame, inputs.target, "lost", hidden=inputs.hiding))
+    elif inputs.existence is not None and rule.existence_rule is not None:
         name, level = rule.existence_rule
-        _by_score(now, memory, rule, Scale(name, now.existence, level), decisions)
-    elif now.score is not None and rule.score_below is not None:
-        _by_score(now, memory, rule, Scale("", now.score, rule.score_below), decisions)
+        _by_score(inputs, memory, rule, Scale(name, inputs.existence, level), decisions)
+    elif inputs.score is not None and rule.score_below is not None:
+        _by_score(inputs, memory, rule, Scale("", inputs.score, rule.score_below), decisions)
     else:
-        _by_ud(now, memory, rule, decisions)
+        _by_ud(inputs, memory, rule, decisions)
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Scale:
 
 
 def _by_score(
-    now: RuleInputs, memory: RuleMemory, rule: Lost, scale: Scale, decisions: list[Decision]
+    inputs: RuleInputs, memory: RuleMemory, rule: Lost, scale: Scale, decisions: list[Decision]
 ) -> None:
     """tracking, uncertain and lost by two levels of the score, each passed for `rule.frames` frames.
 
@@ -104,50 +104,52 @@ def _by_score(
     high, high_key = low, low_key
     if rule.uncertain_below is not None:
         high, high_key = rule.uncertain_below, "uncertain_below"
-    before, status, level, key, streak = now.net.status, now.net.status, low, low_key, LOST
-    if before != "lost" and memory.count(LOST) >= rule.frames:
+    previous, status, level, key, streak = inputs.net.status, inputs.net.status, low, low_key, LOST
+    if previous != "lost" and memory.count(LOST) >= rule.frames:
         status = "lost"
-    elif before == "tracking" and low < high and memory.count(UNSURE) >= rule.frames:
+    elif previous == "tracking" and low < high and memory.count(UNSURE) >= rule.frames:
         status, level, key, streak = "uncertain", high, high_key, UNSURE
-    elif before != "tracking" and memory.count(FOUND) >= rule.frames:
+    elif previous != "tracking" and memory.count(FOUND) >= rule.frames:
         status, level, key, streak = "tracking", high, high_key, FOUND
-    elif before == "lost" and low < high and memory.count(SEEN) >= rule.frames:
+    elif previous == "lost" and low < high and memory.count(SEEN) >= rule.frames:
         status, streak = "uncertain", SEEN
-    if status != before:
-        fell = (before, status) in (("tracking", "uncertain"), ("tracking", "lost"), ("uncertain", "lost"))
+    if status != previous:
+        fell = (previous, status) in (("tracking", "uncertain"), ("tracking", "lost"), ("uncertain", "lost"))
         turning = (max if fell else min)(memory.streak_values(streak))
-        cause = ScoreCause(level, score, rule.frames, turning, fell, scale.of, key, before)
-        decisions.append(StatusChanged(now.frame, now.target, status, cause))
+        cause = ScoreCause(level, score, rule.frames, turning, fell, scale.of, key, previous)
+        decisions.append(StatusChanged(inputs.frame, inputs.target, status, cause))
 
 
-def _by_ud(now: RuleInputs, memory: RuleMemory, rule: Lost, decisions: list[Decision]) -> None:
+def _by_ud(inputs: RuleInputs, memory: RuleMemory, rule: Lost, decisions: list[Decision]) -> None:
     """tracking <-> lost by UD and fit."""
-    reading = read_ud(now, memory, now.plate.root, rule.above)
+    reading = read_ud(inputs, memory, inputs.plate.root, rule.above)
     too_wide = reading is not None and reading.value > reading.level
-    status, turning = now.net.status, math.inf
+    status, turning = inputs.net.status, math.inf
     if status != "lost" and memory.count(LOST) >= rule.frames:
         status, turning = "lost", min(memory.streak_values(LOST)) if too_wide else math.inf
     elif status == "lost" and memory.count(FOUND) >= rule.frames:
         status, turning = "tracking", max(memory.streak_values(FOUND))
-    if status != now.net.status:
+    if status != inputs.net.status:
         by_ud = reading is not None and turning < math.inf
         cause: Cause | FitCause | None = None
         reason = ""
         if by_ud and reading is not None:
             cause = reading.cause(rule.frames, turning)
-        elif blind := _blind(now):
+        elif blind := _blind(inputs):
             reason = blind
         elif status == "lost":
-            best = max(memory.streak_values(UNFIT))
-            cause = FitCause(rule.fit_below, now.measures.fit, rule.frames, best if best >= 0.0 else None)
-        if status == "tracking" and now.measures.fit >= rule.fit_below and not reason:
-            fitting = f"{now.measures.fit:.3g} of a perfect match ≥ fit_below {rule.fit_below:.3g}"
+            best_fit = max(memory.streak_values(UNFIT))
+            cause = FitCause(
+                rule.fit_below, inputs.measures.fit, rule.frames, best_fit if best_fit >= 0.0 else None
+            )
+        if status == "tracking" and inputs.measures.fit >= rule.fit_below and not reason:
+            fitting = f"{inputs.measures.fit:.3g} of a perfect match ≥ fit_below {rule.fit_below:.3g}"
             reason = f"the best hypothesis has a likelihood of {fitting}"
-        decisions.append(StatusChanged(now.frame, now.target, status, cause, reason))
+        decisions.append(StatusChanged(inputs.frame, inputs.target, status, cause, reason))
 
 
-def _blind(now: RuleInputs) -> str:
-    """Why nothing can fit, where nobody looked; else empty."""
-    if not now.net.active:
+def _blind(inputs: RuleInputs) -> str:
+    """The reason that nothing can fit, where nobody looked; else empty."""
+    if not inputs.net.active:
         return "no agent is active, so the belief is prediction only"
-    return "no active agent saw it" if now.net.active <= set(now.measures.silent) else ""
+    return "no active agent saw it" if inputs.net.active <= set(inputs.measures.silent) else ""

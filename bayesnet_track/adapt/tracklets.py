@@ -46,7 +46,7 @@ LEAST_ODDS = -9.0
 
 @dataclass(frozen=True, eq=False)
 class TrackPath:
-    """What a run says of one target.
+    """The path of one target in a run.
 
     Attributes:
         target: its id.
@@ -84,7 +84,7 @@ class Tracklet:
 
 @dataclass(frozen=True, eq=False)
 class Spreads:
-    """What tracklets do in g frames, measured in the run.
+    """Spreads of what tracklets do in g frames, measured in the run.
 
     Attributes:
         place: (G,) sd of r, in sides.
@@ -104,18 +104,18 @@ class Spreads:
 
     def at(self, gap: Floats) -> tuple[Floats, Floats, Floats]:
         """The three spreads at gaps (L,); beyond those measured as velocities walk: g^1.5 and g^0.5."""
-        log, known = np.log(np.maximum(gap, 1.0)), np.log(np.array(GAPS, dtype=float))
-        beyond = np.maximum(log - known[-1], 0.0)
+        log, log_gaps = np.log(np.maximum(gap, 1.0)), np.log(np.array(GAPS, dtype=float))
+        beyond = np.maximum(log - log_gaps[-1], 0.0)
         tables = ((self.place, 1.5), (self.velocity, 0.5), (self.size, 0.5))
         place, velocity, size = (
-            np.exp(np.interp(log, known, np.log(table)) + slope * beyond) for table, slope in tables
+            np.exp(np.interp(log, log_gaps, np.log(table)) + slope * beyond) for table, slope in tables
         )
         return place, velocity, size
 
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Which tracklet may go on as which.
+    """Links: which tracklet may go on as which.
 
     Attributes:
         ends: (L,) tracklet that ends.
@@ -132,16 +132,16 @@ class Links:
 
 def cut(paths: Sequence[TrackPath]) -> list[Tracklet]:
     """The tracklets of all paths, by path and row. A path that is never clear is one tracklet."""
-    close = _close_rows(paths)
+    is_close = _close_rows(paths)
     pieces = []
     for number, path in enumerate(paths):
-        doubtful = ~path.shown | close[number]
+        doubtful = ~path.shown | is_close[number]
         doubtful[1:] |= np.diff(path.frame) > 1
         runs = [run for run in _runs(~doubtful) if run[1] - run[0] + 1 >= LEAST_CLEAR]
         begin = 0
-        for first, last in runs or [(0, len(path.frame) - 1)]:
-            pieces.append(_tracklet(number, path, (begin, first, last)))
-            begin = last + 1
+        for first, final in runs or [(0, len(path.frame) - 1)]:
+            pieces.append(_tracklet(number, path, (begin, first, final)))
+            begin = final + 1
     return pieces
 
 
@@ -151,61 +151,68 @@ def _runs(clear: Bools) -> list[tuple[int, int]]:
 
 
 def _tracklet(number: int, path: TrackPath, rows: tuple[int, int, int]) -> Tracklet:
-    begin, first, last = rows
+    begin, first, final = rows
     states = np.array(
-        [_state(path, first, min(first + WINDOW, last), 0), _state(path, max(last - WINDOW, first), last, 1)]
+        [
+            _state(path, first, min(first + WINDOW, final), 0),
+            _state(path, max(final - WINDOW, first), final, 1),
+        ]
     )
-    return Tracklet(number, begin, first, last, (int(path.frame[first]), int(path.frame[last])), states)
+    return Tracklet(number, begin, first, final, (int(path.frame[first]), int(path.frame[final])), states)
 
 
-def _state(path: TrackPath, first: int, last: int, at_end: int) -> Floats:
+def _state(path: TrackPath, first: int, final: int, at_end: int) -> Floats:
     """Place, velocity and size at one end of rows of a path."""
-    boxes, at = path.boxes, last if at_end else first
-    steps = max(float(path.frame[last] - path.frame[first]), 1.0)
-    velocity = (boxes[last, :2] - boxes[first, :2]) / steps
-    sizes = np.log(np.maximum(boxes[first : last + 1, 2:], 1.0))
-    return np.concatenate([boxes[at, :2], velocity, np.median(sizes, axis=0)])
+    boxes, row = path.boxes, final if at_end else first
+    steps = max(float(path.frame[final] - path.frame[first]), 1.0)
+    velocity = (boxes[final, :2] - boxes[first, :2]) / steps
+    sizes = np.log(np.maximum(boxes[first : final + 1, 2:], 1.0))
+    return np.concatenate([boxes[row, :2], velocity, np.median(sizes, axis=0)])
 
 
 def _close_rows(paths: Sequence[TrackPath]) -> list[Bools]:
     """Of each path in which rows another one is close."""
     from scipy.spatial import cKDTree
 
-    close = [np.zeros(len(path.frame), dtype=bool) for path in paths]
+    is_close = [np.zeros(len(path.frame), dtype=bool) for path in paths]
     if not paths:
-        return close
+        return is_close
     frame = np.concatenate([path.frame for path in paths])
     boxes = np.concatenate([path.boxes for path in paths])
-    of = np.concatenate([np.full(len(path.frame), k) for k, path in enumerate(paths)])
+    path_of = np.concatenate([np.full(len(path.frame), k) for k, path in enumerate(paths)])
     row = np.concatenate([np.arange(len(path.frame)) for path in paths])
     order = np.argsort(frame, kind="stable")
     for rows in np.split(order, np.flatnonzero(np.diff(frame[order])) + 1):
         if len(rows) < 2:
             continue
-        own = boxes[rows]
+        frame_boxes = boxes[rows]
         # In sides of the largest box: what is near there may be near.
-        scale = own[:, 2:].max(axis=0)
-        pairs = cKDTree(own[:, :2] / scale).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+        scale = frame_boxes[:, 2:].max(axis=0)
+        pairs = cKDTree(frame_boxes[:, :2] / scale).query_pairs(NEAR, p=np.inf, output_type="ndarray")
         a, b = pairs[:, 0], pairs[:, 1]
-        near = np.all(np.abs(own[a, :2] - own[b, :2]) < NEAR * (own[a, 2:] + own[b, 2:]) / 2.0, axis=1)
-        for k in rows[np.unique(pairs[near])].tolist():
-            close[of[k]][row[k]] = True
-    return close
+        is_near = np.all(
+            np.abs(frame_boxes[a, :2] - frame_boxes[b, :2])
+            < NEAR * (frame_boxes[a, 2:] + frame_boxes[b, 2:]) / 2.0,
+            axis=1,
+        )
+        for k in rows[np.unique(pairs[is_near])].tolist():
+            is_close[path_of[k]][row[k]] = True
+    return is_close
 
 
 def measure_spreads(paths: Sequence[TrackPath], tracklets: Sequence[Tracklet]) -> Spreads:
     """The spreads of a run; where it has too few pieces, those of a slow walk."""
     tables = np.full((3, len(GAPS)), np.nan)
     pooled = [_moves(paths, tracklets, gap) for gap in GAPS]
-    for place, found in enumerate(pooled):
-        if len(found[0]) >= 30:
+    for place, moves in enumerate(pooled):
+        if len(moves[0]) >= 30:
             # Robust: a swap that nobody saw is no motion.
-            tables[:, place] = [1.4826 * np.median(np.abs(values)) for values in found]
-    usual = np.array([[0.05], [0.02], [0.03]]) * np.array(GAPS)[None] ** np.array([[1.0], [0.5], [0.3]])
+            tables[:, place] = [1.4826 * np.median(np.abs(values)) for values in moves]
+    defaults = np.array([[0.05], [0.02], [0.03]]) * np.array(GAPS)[None] ** np.array([[1.0], [0.5], [0.3]])
     slopes = np.array([1.5, 0.5, 0.5])
     for place in range(len(GAPS)):
         missing = np.isnan(tables[:, place])
-        grown = usual[:, place]
+        grown = defaults[:, place]
         if place:
             grown = tables[:, place - 1] * (GAPS[place] / GAPS[place - 1]) ** slopes
         tables[missing, place] = grown[missing]
@@ -219,30 +226,30 @@ def measure_spreads(paths: Sequence[TrackPath], tracklets: Sequence[Tracklet]) -
 
 
 def _moves(
-    paths: Sequence[TrackPath], tracklets: Sequence[Tracklet], gap: int, most: int = 4000
+    paths: Sequence[TrackPath], tracklets: Sequence[Tracklet], gap: int, limit: int = 4000
 ) -> tuple[Floats, Floats, Floats]:
     """r, dv and ds of pieces of tracklets that are `gap` frames apart."""
-    found: list[tuple[Floats, Floats, Floats]] = []
+    moves: list[tuple[Floats, Floats, Floats]] = []
     for tracklet in tracklets:
         path = paths[tracklet.path]
         for row in range(tracklet.first + WINDOW, tracklet.last - gap - WINDOW + 1, max(gap // 2, 3)):
-            before = _state(path, row - WINDOW, row, 1)
-            after = _state(path, row + gap, row + gap + WINDOW, 0)
-            found.append(_move(before[None], after[None], np.array([float(gap)])))
-        if len(found) > most:
+            end = _state(path, row - WINDOW, row, 1)
+            start = _state(path, row + gap, row + gap + WINDOW, 0)
+            moves.append(_move(end[None], start[None], np.array([float(gap)])))
+        if len(moves) > limit:
             break
-    if not found:
+    if not moves:
         return np.empty(0), np.empty(0), np.empty(0)
-    place, velocity, size = (np.concatenate([one[k].ravel() for one in found]) for k in range(3))
+    place, velocity, size = (np.concatenate([move[k].ravel() for move in moves]) for k in range(3))
     return place, velocity, size
 
 
-def _move(before: Floats, after: Floats, gap: Floats) -> tuple[Floats, Floats, Floats]:
+def _move(ends: Floats, starts: Floats, gap: Floats) -> tuple[Floats, Floats, Floats]:
     """(L, 2) each: r, dv and ds of ends and starts (L, 6), in sides of the end."""
-    side = np.exp(before[:, 4:].mean(axis=1, keepdims=True))
-    mean = (before[:, 2:4] + after[:, 2:4]) / 2.0
-    r = (after[:, :2] - before[:, :2] - gap[:, None] * mean) / side
-    return r, (after[:, 2:4] - before[:, 2:4]) / side, after[:, 4:] - before[:, 4:]
+    side = np.exp(ends[:, 4:].mean(axis=1, keepdims=True))
+    mean = (ends[:, 2:4] + starts[:, 2:4]) / 2.0
+    r = (starts[:, :2] - ends[:, :2] - gap[:, None] * mean) / side
+    return r, (starts[:, 2:4] - ends[:, 2:4]) / side, starts[:, 4:] - ends[:, 4:]
 
 
 def find_links(
@@ -266,59 +273,61 @@ def find_links(
     pairs = [order[low:high] for low, high in zip(lows.tolist(), highs.tolist(), strict=True)]
     ends = np.repeat(np.arange(count), [len(some) for some in pairs])
     # What is within reach, and every track with itself.
-    last = np.flatnonzero(goes_on)
-    key = np.unique(np.append(ends * count + np.concatenate(pairs), last * count + last + 1))
+    continued = np.flatnonzero(goes_on)
+    key = np.unique(np.append(ends * count + np.concatenate(pairs), continued * count + continued + 1))
     ends, starts = key // count, key % count
-    own = (starts == ends + 1) & goes_on[ends]
+    is_own = (starts == ends + 1) & goes_on[ends]
     gap = (frames[starts, 0] - frames[ends, 1]).astype(float)
     log = log_ratio(states[ends, 1], states[starts, 0], gap, spreads, size)
     # A jump of a track that is itself is no more than an outlier.
-    log_odds = TRUST * np.where(own, np.maximum(log, LEAST_ODDS), log) + np.where(own, prior[0], prior[1])
+    log_odds = TRUST * np.where(is_own, np.maximum(log, LEAST_ODDS), log) + np.where(
+        is_own, prior[0], prior[1]
+    )
     side = np.exp(states[ends, 1, 4:].mean(axis=1))
-    away = np.hypot(*(states[starts, 0, :2] - states[ends, 1, :2]).T) / side
-    met = ~own & (away < MET + 3.0 * spreads.fast * gap)
-    log_odds = _with_lapses(ends, starts, log_odds, own, met)
-    kept = own | (log_odds > LEAST_ODDS)
-    return Links(ends[kept], starts[kept], log_odds[kept], count)
+    distance = np.hypot(*(states[starts, 0, :2] - states[ends, 1, :2]).T) / side
+    met = ~is_own & (distance < MET + 3.0 * spreads.fast * gap)
+    log_odds = _with_lapses(ends, starts, log_odds, is_own, met)
+    likely = is_own | (log_odds > LEAST_ODDS)
+    return Links(ends[likely], starts[likely], log_odds[likely], count)
 
 
-def _with_lapses(ends: Ints, starts: Ints, log_odds: Floats, own: Bools, met: Bools) -> Floats:
+def _with_lapses(ends: Ints, starts: Ints, log_odds: Floats, is_own: Bools, met: Bools) -> Floats:
     """The log odds, so that two that met have exchanged identities with probability `LAPSE` at least."""
     row = {pair: k for k, pair in enumerate(zip(ends.tolist(), starts.tolist(), strict=True))}
-    lifted, least = log_odds.copy(), np.log(LAPSE)
+    lifted, lapse_odds = log_odds.copy(), np.log(LAPSE)
     for k in np.flatnonzero(met).tolist():
         # b goes on as j, so that the end before j goes on as what b goes on as now.
         b, j = int(ends[k]), int(starts[k])
-        other, before, after = row.get((j - 1, b + 1)), row.get((j - 1, j)), row.get((b, b + 1))
+        exchange, previous, following = row.get((j - 1, b + 1)), row.get((j - 1, j)), row.get((b, b + 1))
         if (
-            other is None
-            or before is None
-            or after is None
-            or not (own[before] and own[after] and met[other])
+            exchange is None
+            or previous is None
+            or following is None
+            or not (is_own[previous] and is_own[following] and met[exchange])
         ):
             continue
-        both = log_odds[before] + log_odds[after] + least
-        if log_odds[k] < both / 2.0 and log_odds[k] + log_odds[other] < both:
-            lifted[k] = both - max(log_odds[other], both / 2.0)
+        exchanged = log_odds[previous] + log_odds[following] + lapse_odds
+        if log_odds[k] < exchanged / 2.0 and log_odds[k] + log_odds[exchange] < exchanged:
+            lifted[k] = exchanged - max(log_odds[exchange], exchanged / 2.0)
     return lifted
 
 
-def log_ratio(before: Floats, after: Floats, gap: Floats, spreads: Spreads, size: tuple[int, int]) -> Floats:
+def log_ratio(ends: Floats, starts: Floats, gap: Floats, spreads: Spreads, size: tuple[int, int]) -> Floats:
     """(L,) log-likelihood ratios of starts (L, 6) that continue ends (L, 6), and of any other."""
-    moves, sds = _move(before, after, gap), spreads.at(gap)
+    moves, sds = _move(ends, starts, gap), spreads.at(gap)
     log = sum(_log_density(move, sd[:, None]) for move, sd in zip(moves, sds, strict=True))
-    side = np.exp(before[:, 4:].mean(axis=1))
+    side = np.exp(ends[:, 4:].mean(axis=1))
     null = -np.log(size[0] * size[1] / side**2)
-    null = null + _log_normal(after[:, 2:4] / side[:, None], spreads.fast).sum(axis=1)
-    null = null + _log_normal(after[:, 4:] - spreads.usual, spreads.large).sum(axis=1)
+    null = null + _log_normal(starts[:, 2:4] / side[:, None], spreads.fast).sum(axis=1)
+    null = null + _log_normal(starts[:, 4:] - spreads.usual, spreads.large).sum(axis=1)
     return np.asarray(log - null)
 
 
-def _log_normal(away: Floats, sd: float | Floats) -> Floats:
-    return np.asarray(-0.5 * (away / sd) ** 2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
+def _log_normal(deviation: Floats, sd: float | Floats) -> Floats:
+    return np.asarray(-0.5 * (deviation / sd) ** 2 - np.log(sd) - 0.5 * np.log(2.0 * np.pi))
 
 
-def _log_density(away: Floats, sd: Floats) -> Floats:
+def _log_density(deviation: Floats, sd: Floats) -> Floats:
     """(L,) of both coordinates (L, 2), some of them outlying together."""
-    near, far = _log_normal(away, sd).sum(axis=1), _log_normal(away, WIDER * sd).sum(axis=1)
-    return np.asarray(np.logaddexp(np.log(1.0 - OUTLYING) + near, np.log(OUTLYING) + far))
+    inlier, outlier = _log_normal(deviation, sd).sum(axis=1), _log_normal(deviation, WIDER * sd).sum(axis=1)
+    return np.asarray(np.logaddexp(np.log(1.0 - OUTLYING) + inlier, np.log(OUTLYING) + outlier))
