@@ -299,6 +299,17 @@ def test_who_is_beside_the_image_of_the_only_camera_that_looks_is_not_missed(tmp
     assert ratios[0.0] < 0.9
 
 
+def test_nobody_starts_where_a_live_target_stands_though_it_has_just_been_lost(tmp_path):
+    """Half a person's width aside, farther than motion explains, is no second person."""
+    tracker, identities = DetectionsTracker(write_graph(tmp_path), fps=FPS), set()
+    for frame in range(60):
+        place = np.array([0.3 if frame >= 30 else 0.0, 9.0])
+        given = {camera: detections_of(boxes_of(camera, place)) for camera in ("south", "east")}
+        tracker.update(given, time_s=frame / FPS)
+        identities |= {target.target for target in tracker.targets}
+    assert identities == {"1"}
+
+
 def test_sizes_are_those_of_the_calibrations(tmp_path):
     path = write_graph(tmp_path)
     with pytest.raises(ValueError, match=r"east.json: of 800x480 px, and the frames have 640x480 px"):

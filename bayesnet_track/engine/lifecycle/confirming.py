@@ -137,15 +137,16 @@ def _is_one_of(births: Births, place: Floats, places: Floats) -> bool:
 
 
 def _with_room(births: Births, room: int) -> tuple[Floats, int]:
-    """(K + more, 4) places of the live targets that are not lost, with room for those that start, and K."""
-    targets, compiled = births.tracks.held(births.plate), births.work.engine.plates[births.plate]
+    """(K + room, 4) places that live targets take, with room for those that start, and K.
+
+    In an image they are those of targets that are not lost; on the ground two never stand in one place.
+    """
+    tracks, compiled = births.tracks, births.work.engine.plates[births.plate]
     if compiled.views is None or compiled.has_one_image:
-        places = births.tracks.boxes(targets)
+        places = tracks.boxes(tracks.held(births.plate))
     else:
-        size = len(compiled.motion.fields)
-        places = compiled.views.footprints(
-            np.array([births.tracks.mean(target) for target in targets]).reshape(-1, size)
-        )
+        means = [tracks.mean(target) for target in tracks.of_plate(births.plate)]
+        places = compiled.views.footprints(np.array(means).reshape(-1, len(compiled.motion.fields)))
     return np.concatenate([places, np.empty((room, 4))]), len(places)
 
 
