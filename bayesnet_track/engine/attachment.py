@@ -30,21 +30,21 @@ Carriers = Mapping[str, tuple[str, Attachment]]
 
 def carriers_of(work: FrameContext, memory: JoinMemory) -> Carriers:
     """By whom each target may be carried: the one that carries it, else the one that overlaps it most."""
-    found: dict[str, tuple[tuple[bool, float], str, Attachment]] = {}
+    ranked: dict[str, tuple[tuple[bool, float], str, Attachment]] = {}
     for (carrier, target), join in work.net.joins.items():
         settings = work.engine.joins[join.rule].attachment
         if settings is None:
             continue
-        known = memory.pairs.get((carrier, target), PairMemory())
-        rank = (memory.carriers.get(target, ("", 0))[0] == carrier, known.overlap)
-        if target not in found or rank > found[target][0]:
-            found[target] = (rank, carrier, settings)
-    return {target: (carrier, settings) for target, (_, carrier, settings) in found.items()}
+        pair = memory.pairs.get((carrier, target), PairMemory())
+        rank = (memory.carriers.get(target, ("", 0))[0] == carrier, pair.overlap)
+        if target not in ranked or rank > ranked[target][0]:
+            ranked[target] = (rank, carrier, settings)
+    return {target: (carrier, settings) for target, (_, carrier, settings) in ranked.items()}
 
 
 @dataclass(frozen=True, eq=False)
 class Rides:
-    """Who may be carried by whom in one frame.
+    """Possible carriers of the targets in one frame.
 
     Attributes:
         work: the frame's.
@@ -58,7 +58,7 @@ class Rides:
 
     @staticmethod
     def of(work: FrameContext, memory: JoinMemory) -> Rides:
-        """Those of the frame."""
+        """The rides of the frame."""
         return Rides(work, memory, carriers_of(work, memory))
 
     def carriers_first(self, targets: Iterable[str]) -> list[str]:
@@ -71,8 +71,8 @@ class Rides:
             order += [name for name in reversed(chain) if name not in order]
         return order
 
-    def ride(self, target: str, before: TargetState, filtered: Mapping[str, Filtered]) -> Ride | None:
-        """How the target moves with its carrier, which was `filtered` before; None for one without."""
+    def ride(self, target: str, previous: TargetState, filtered: Mapping[str, Filtered]) -> Ride | None:
+        """Motion of the target with its carrier, which was `filtered` before; None for one without."""
         if target not in self.carriers:
             return None
         carrier, settings = self.carriers[target]
@@ -83,14 +83,14 @@ class Rides:
             settings.stay,
             settings.sd_px,
         )
-        known = self.memory.carried.get(target)
-        column = known.hypotheses if known is not None and known.belief is before.belief else None
-        return Ride(motion, with_carried(particles(before.belief), column))
+        carried = self.memory.carried.get(target)
+        column = carried.hypotheses if carried is not None and carried.belief is previous.belief else None
+        return Ride(motion, with_carried(particles(previous.belief), column))
 
 
-def _displacement(carrier: Filtered, before: Floats | None) -> Floats:
+def _displacement(carrier: Filtered, previous_centre: Floats | None) -> Floats:
     """(2,) how far the carrier's centre went, by its own evidence in both frames: so errors cancel out."""
-    start = carrier.before.belief.mean[:2] if before is None else before
+    start = carrier.before.belief.mean[:2] if previous_centre is None else previous_centre
     return np.asarray(carrier.step.posterior.mean[:2] - start)
 
 
@@ -118,16 +118,16 @@ def report_carried(
     events: list[Event],
 ) -> JoinMemory:
     """Add to `events` who is carried now, and who no longer is."""
-    known = dict(memory.carriers)
+    carried_by = dict(memory.carriers)
     for name, (carrier, _) in carriers.items():
         probability = metrics[name].attached or 0.0
-        if name not in known and probability > CARRIED:
-            known[name] = (carrier, frame)
+        if name not in carried_by and probability > CARRIED:
+            carried_by[name] = (carrier, frame)
             events.append(AttachmentChanged(frame, name, carrier, True, probability, 0))
-        elif name in known and probability <= FREE:
-            before, since = known.pop(name)
-            events.append(AttachmentChanged(frame, name, before, False, probability, frame - since))
-    return replace(memory, carriers=known)
+        elif name in carried_by and probability <= FREE:
+            former, first_frame = carried_by.pop(name)
+            events.append(AttachmentChanged(frame, name, former, False, probability, frame - first_frame))
+    return replace(memory, carriers=carried_by)
 
 
 def _without_last(step: Step[Posterior]) -> Floats:

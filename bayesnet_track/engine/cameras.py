@@ -59,18 +59,20 @@ def clocks_now(work: FrameContext, history: TrackHistory) -> Clocks | None:
 
 def plate_clocks(compiled: CompiledPlate, clocks: Clocks | None) -> PlateClocks | None:
     """The clocks as a plate's states have them; None of a plate that no camera with a clock sees."""
-    own = _clocks_of(compiled)
-    if clocks is None or not own:
+    clock_fields = _clocks_of(compiled)
+    if clocks is None or not clock_fields:
         return None
     fields = compiled.motion.fields
-    columns = [fields.index(field) for field in own]
+    columns = [fields.index(field) for field in clock_fields]
     assert compiled.views is not None
     of_view = {
         node: fields.index(view.clock)
         for node, view in compiled.views.views.items()
         if view.clock is not None
     }
-    return PlateClocks(clocks, columns, [clocks.names.index(name) for name, _ in own.values()], of_view)
+    return PlateClocks(
+        clocks, columns, [clocks.names.index(name) for name, _ in clock_fields.values()], of_view
+    )
 
 
 def learn_clocks(
@@ -86,26 +88,28 @@ def learn_clocks(
             messages.append(copy.message(belief.mean, belief.covariance))
     clocks, news = prior.after(messages).report()
     events = tuple(
-        ClockLearnt(work.frame.index, camera, reading.offset_s, reading.sd_s, last.offset_s, last.sd_s)
-        for camera, (reading, last) in news.items()
+        ClockLearnt(
+            work.frame.index, camera, reading.offset_s, reading.sd_s, reported.offset_s, reported.sd_s
+        )
+        for camera, (reading, reported) in news.items()
     )
-    others = {
+    targets = {
         target: _adopted(plate_clocks(work.plate_of(target), clocks), filtered_target)
         for target, filtered_target in filtered.others.items()
     }
-    return clocks, others, events
+    return clocks, targets, events
 
 
 def adopt_clocks(work: FrameContext, history: TrackHistory, clocks: Clocks) -> TrackHistory:
     """The history with unconfirmed tracks that are given the clocks."""
     models: dict[str, DetectionModel] = dict(history.detection_models)
     for plate, model in models.items():
-        by, unconfirmed = plate_clocks(work.engine.plates[plate], clocks), model.unconfirmed
-        if by is None or not len(unconfirmed):
+        copy, unconfirmed = plate_clocks(work.engine.plates[plate], clocks), model.unconfirmed
+        if copy is None or not len(unconfirmed):
             continue
         pairs = zip(unconfirmed.mean, unconfirmed.covariance, strict=True)
         mean, covariance = (
-            np.array(each) for each in zip(*(by.adopted(*pair) for pair in pairs), strict=True)
+            np.array(each) for each in zip(*(copy.adopted(*pair) for pair in pairs), strict=True)
         )
         models[plate] = evolve(model, unconfirmed=evolve(unconfirmed, mean=mean, covariance=covariance))
     return evolve(history, detection_models=models)
@@ -136,11 +140,11 @@ def _clocks_of(compiled: CompiledPlate) -> dict[str, tuple[tuple[str, str], floa
     }
 
 
-def _adopted(by: PlateClocks | None, filtered: Filtered) -> Filtered:
+def _adopted(copy: PlateClocks | None, filtered: Filtered) -> Filtered:
     belief = filtered.step.posterior
-    if by is None or not isinstance(belief, GaussianPosterior):
+    if copy is None or not isinstance(belief, GaussianPosterior):
         return filtered
-    mean, covariance = by.adopted(belief.mean, belief.covariance)
+    mean, covariance = copy.adopted(belief.mean, belief.covariance)
     posterior = evolve(belief, mean=mean, covariance=covariance)
     return evolve(filtered, step=evolve(filtered.step, posterior=posterior, find_map=lambda: mean))
 

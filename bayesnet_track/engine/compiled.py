@@ -67,7 +67,7 @@ from bayesnet_track.observation.timed_columns import TimedInput
 
 @dataclass(frozen=True, eq=False)
 class CompiledPlate:
-    """What one plate needs to run, made once: cues, belief, motion model and prices.
+    """All that one plate needs to run, made once: cues, belief, motion model and prices.
 
     Attributes:
         plate: the checked plate.
@@ -131,7 +131,7 @@ class CompiledPlate:
         if len(self.detectors) == 1:
             return dict.fromkeys(self.sensors, only)
         seen_by = {agent: self.plate.seen_by(agent) for agent in self.sensors}
-        return {agent: one.name for agent, one in seen_by.items() if one is not None}
+        return {agent: view.name for agent, view in seen_by.items() if view is not None}
 
     @cached_property
     def looking(self) -> Mapping[str, str]:
@@ -219,7 +219,7 @@ class Engine:
         """
         if not self.inputs:
             return frame
-        values = {name: one.value(frame.index, frame.time_s) for name, one in self.inputs.items()}
+        values = {name: source.value(frame.index, frame.time_s) for name, source in self.inputs.items()}
         return replace(frame, inputs=values)
 
     def on_clock(self, frame: Frame) -> Frame:
@@ -254,21 +254,21 @@ def compile_graph(
         DetectorError: a detector cannot be made, or those that are given are not those that are asked for.
     """
     declarations = graph.declarations if cues is None else cues
-    own = {} if motion is None else motion
-    unknown = [name for name in own if name not in graph.targets]
+    custom = {} if motion is None else motion
+    unknown = [name for name in custom if name not in graph.targets]
     if unknown:
         raise ValueError(f"motion for {unknown[0]!r}; the graph has {', '.join(graph.targets)}")
-    several = len(graph.spec.cameras) > 1
+    several_cameras = len(graph.spec.cameras) > 1
     plates = {
-        name: _compile_plate(plate, declarations, own.get(name), graph.spec.constants, several)
+        name: _compile_plate(plate, declarations, custom.get(name), graph.spec.constants, several_cameras)
         for name, plate in graph.targets.items()
     }
-    asking = [(one.plate, one.detectors) for one in plates.values() if one.detectors]
-    made = {} if detectors is None else make_detectors(asking, detectors)
+    asking = [(plate.plate, plate.detectors) for plate in plates.values() if plate.detectors]
+    by_name = {} if detectors is None else make_detectors(asking, detectors)
     return Engine(
         plates,
         Streams(seed),
-        detectors=made,
+        detectors=by_name,
         joins=graph.spec.joins,
         constants=graph.spec.constants,
         inputs=read_inputs(graph.spec),
@@ -297,46 +297,46 @@ def _in_units(graph: CheckedGraph, query: Query) -> Query:
 def _compile_plate(
     plate: CheckedTarget,
     declarations: Mapping[str, CueDeclaration],
-    own: MotionModel | None,
+    custom: MotionModel | None,
     constants: Mapping[str, float],
-    several: bool,
+    several_cameras: bool,
 ) -> CompiledPlate:
     root = plate.inference(plate.root)
-    of = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
-    made = {agent: make_cue(of[agent], plate.parameters[agent]) for agent in plate.agents}
+    declared = {agent: declarations[plate.agent(agent).agent.cue] for agent in plate.agents}
+    made_cues = {agent: make_cue(declared[agent], plate.parameters[agent]) for agent in plate.agents}
     assert root.motion is not None
     settings = root.motion.settings
-    moving = None if own is not None or settings.is_plain else settings
+    moving = None if custom is not None or settings.is_plain else settings
     kind = plate.spec
     is_point, views = kind.state == "point", views_of(plate)
     # A place alone identifies nobody, and boxes of one camera are compared in no other.
     reidentify = "never" if is_point or views else kind.reidentify
     merge = "never" if views else kind.merge_duplicates
     life = life_rules(kind.birth, merge, kind.death, reidentify, kind.existence)
-    motion = _motion_of(plate, own, constants)
-    modes = None if own is not None else modes_of(root)
-    rules = {agent: rule_of(cue) for agent, cue in made.items() if of[agent].reads_detection}
+    motion = _motion_of(plate, custom, constants)
+    modes = None if custom is not None else modes_of(root)
+    rules = {agent: rule_of(cue) for agent, cue in made_cues.items() if declared[agent].reads_detection}
     rules = {agent: with_labels(rule, plate.parameters[agent], modes) for agent, rule in rules.items()}
     if views:
         rules = {agent: replace(rule, continue_box=0.0) for agent, rule in rules.items()}
     return CompiledPlate(
         plate=plate,
-        cues=made,
+        cues=made_cues,
         belief=make_belief(root.belief, modes),
         motion=motion,
-        costs_ms={agent: of[agent].cost_ms for agent in plate.agents},
-        rate_max={agent: _rate_max(plate, agent, of[agent], root.learn) for agent in plate.agents},
-        adaptable=frozenset(agent for agent in plate.agents if of[agent].adapts),
-        color_agents=frozenset(agent for agent in plate.agents if of[agent].needs_color),
+        costs_ms={agent: declared[agent].cost_ms for agent in plate.agents},
+        rate_max={agent: _rate_max(plate, agent, declared[agent], root.learn) for agent in plate.agents},
+        adaptable=frozenset(agent for agent in plate.agents if declared[agent].adapts),
+        color_agents=frozenset(agent for agent in plate.agents if declared[agent].needs_color),
         guard=None if root.learn is None else root.learn.guard,
         lifecycle=life,
-        detectors=detectors_of(life, views if several else None),
+        detectors=detectors_of(life, views if several_cameras else None),
         looks=frozenset(
-            agent for agent in plate.agents if of[agent].is_appearance and not of[agent].measures
+            agent for agent in plate.agents if declared[agent].is_appearance and not declared[agent].measures
         ),
         part_of=part_of_agents(plate),
         moving=moving,
-        searching=_searching(plate, of, moving),
+        searching=_searching(plate, declared, moving),
         finder=None if moving is None else _finder(moving),
         association_rules=rules,
         sensors={
@@ -345,22 +345,24 @@ def _compile_plate(
             else make_view_sensor(plate, agent, rule, views)
             for agent, rule in rules.items()
         },
-        opaque=frozenset(agent for agent in plate.agents if of[agent].opaque),
-        declared=of,
+        opaque=frozenset(agent for agent in plate.agents if declared[agent].opaque),
+        declared=declared,
         modes=modes,
         verifiers={} if root.score is None else make_verifiers(root.score.settings.verifiers, declarations),
         views=views,
     )
 
 
-def _motion_of(plate: CheckedTarget, own: MotionModel | None, constants: Mapping[str, float]) -> MotionModel:
+def _motion_of(
+    plate: CheckedTarget, custom: MotionModel | None, constants: Mapping[str, float]
+) -> MotionModel:
     """The motion of a plate, with what cameras keep of it and the past that late sensors measure."""
     lasting = lasting_of(plate.lasting)
-    if own is not None:
-        return Nested(own, lasting) if plate.lasting else own
+    if custom is not None:
+        return Nested(custom, lasting) if plate.lasting else custom
     kind = plate.spec
-    further: tuple[Deviation | Lasting, ...] = (*deviations_of(kind.nodes), *lasting)
-    motion = make_plate_motion(plate.inference(plate.root), constants, further, kind.state)
+    extra_parts: tuple[Deviation | Lasting, ...] = (*deviations_of(kind.nodes), *lasting)
+    motion = make_plate_motion(plate.inference(plate.root), constants, extra_parts, kind.state)
     return with_past(motion, plate.measures.values())
 
 
@@ -378,11 +380,11 @@ def make_plate_motion(
     assert root.motion is not None
     settings = root.motion.settings
 
-    def composed(chosen: spec.Motion, prior: StartPrior | None = None) -> MotionModel:
-        motion: MotionModel = replace(_moves(chosen, constants), prior=prior)
+    def composed(declared: spec.Motion, prior: StartPrior | None = None) -> MotionModel:
+        motion: MotionModel = replace(_moves(declared, constants), prior=prior)
         if state != "box" and isinstance(motion, KinematicMotion | FormulaMotion):
-            least = LEAST_SIDE_PX if state == "point" else LEAST_SIDE_M
-            motion = replace(motion, leaves_image=True, least_side=least)
+            least_side = LEAST_SIDE_PX if state == "point" else LEAST_SIDE_M
+            motion = replace(motion, leaves_image=True, least_side=least_side)
         if settings.sd_angle_deg > 0:
             motion = turning(motion, settings.sd_angle_deg)
         if deviations:
@@ -393,40 +395,42 @@ def make_plate_motion(
     modes = modes_of(root)
     if modes is None:
         return composed(root.motion, prior)
-    usual = composed(root.motion)
+    default_motion = composed(root.motion)
     ways = root.modes or {"": spec.Mode()}
-    own = [usual if mode.motion is None else composed(mode.motion) for mode in ways.values()]
-    return Modal(modes, tuple(own[way] for way in modes.index[FIELD].tolist()), prior=prior)
+    mode_motions = [
+        default_motion if mode.motion is None else composed(mode.motion) for mode in ways.values()
+    ]
+    return Modal(modes, tuple(mode_motions[way] for way in modes.index[FIELD].tolist()), prior=prior)
 
 
 def _moves(
-    chosen: spec.Motion, constants: Mapping[str, float]
+    motion: spec.Motion, constants: Mapping[str, float]
 ) -> KinematicMotion | FormulaMotion | BoxVelocityMotion:
-    if chosen.expressions is not None:
-        return make_formula_motion(chosen.expressions, constants)
-    return make_motion(chosen) if chosen.box_velocity is None else BoxVelocityMotion(chosen.box_velocity)
+    if motion.expressions is not None:
+        return make_formula_motion(motion.expressions, constants)
+    return make_motion(motion) if motion.box_velocity is None else BoxVelocityMotion(motion.box_velocity)
 
 
 def _searching(
-    plate: CheckedTarget, of: Mapping[str, CueDeclaration], moving: Moving | None
+    plate: CheckedTarget, declared: Mapping[str, CueDeclaration], moving: Moving | None
 ) -> frozenset[str]:
     belief = plate.inference(plate.root).belief
     if moving is None or moving.relocalize is None or belief is None or belief.gaussian is None:
         return frozenset()
-    return frozenset(name for name in plate.agents if of[name].can_search(plate.parameters[name]))
+    return frozenset(name for name in plate.agents if declared[name].can_search(plate.parameters[name]))
 
 
 def _finder(moving: Moving) -> Detector | None:
-    chosen = None if moving.relocalize is None else moving.relocalize.by.detector
-    if chosen is None:
+    plugin = None if moving.relocalize is None else moving.relocalize.by.detector
+    if plugin is None:
         return None
-    declaration = installed_detectors([chosen.detector])[chosen.detector]
-    return declaration.make(plugin_parameters(chosen, declaration.parameters))
+    declaration = installed_detectors([plugin.detector])[plugin.detector]
+    return declaration.make(plugin_parameters(plugin, declaration.parameters))
 
 
-def make_belief(chosen: spec.Belief | None, modes: Modes | None = None) -> Belief[Any]:
+def make_belief(declared: spec.Belief | None, modes: Modes | None = None) -> Belief[Any]:
     """The belief that a graph asks for; particles when it does not say."""
-    settings = spec.Particles() if chosen is None else chosen.settings
+    settings = spec.Particles() if declared is None else declared.settings
     match settings:
         case spec.Particles():
             return ParticleFilter(settings)
@@ -439,8 +443,8 @@ def make_belief(chosen: spec.Belief | None, modes: Modes | None = None) -> Belie
 
 def _rate_max(plate: CheckedTarget, agent: str, declaration: CueDeclaration, learn: Learn | None) -> float:
     """The agent's own rate, else its cue's, else the graph's."""
-    own = plate.agent(agent).learn_rate_max
-    for rate in (own, declaration.rate_max):
+    agent_rate = plate.agent(agent).learn_rate_max
+    for rate in (agent_rate, declaration.rate_max):
         if rate is not None:
             return rate
     return learn.rate_max if learn is not None else 0.0

@@ -22,31 +22,31 @@ from bayesnet_track.vision.detectors.selection import Selected
 
 
 def make_detectors(
-    asking: Iterable[tuple[CheckedTarget, Mapping[str, str]]], given: Mapping[str, Detector]
+    asking: Iterable[tuple[CheckedTarget, Mapping[str, str]]], supplied: Mapping[str, Detector]
 ) -> dict[str, Detector]:
     """The detectors of births, by the names that plates ask for: each plate's, of every camera that sees it.
 
     Raises:
         DetectorError: one cannot be made, or those that are given are not those that are asked for.
     """
-    made: dict[str, Detector] = {}
-    asked = set()
+    by_name: dict[str, Detector] = {}
+    requested = set()
     for plate, detectors in asking:
         assert plate.spec.birth is not None
-        chosen = plate.spec.birth.detector
+        plugin = plate.spec.birth.detector
         for camera, name in detectors.items():
-            wanted = of_camera(chosen.detector, camera)
-            asked.add(wanted)
-            if name in made:
+            requested_name = of_camera(plugin.detector, camera)
+            requested.add(requested_name)
+            if name in by_name:
                 continue
             if plate.inverses:
-                made[name] = _scanner_of(plate, given)
+                by_name[name] = _scanner_of(plate, supplied)
                 continue
-            declaration = detectors_of_graphs([chosen.detector])[chosen.detector]
-            parameters = plugin_parameters(chosen, declaration.parameters)
-            if wanted in given:
-                made[name] = Selected(given[wanted], parameters)
-            elif camera and chosen.detector == GIVEN:
+            declaration = detectors_of_graphs([plugin.detector])[plugin.detector]
+            parameters = plugin_parameters(plugin, declaration.parameters)
+            if requested_name in supplied:
+                by_name[name] = Selected(supplied[requested_name], parameters)
+            elif camera and plugin.detector == GIVEN:
                 named = "detections={" + f'"{camera}": FILE' + "}"
                 ways = to_caller(f"--detections {camera}=FILE", named)
                 raise DetectorError(
@@ -54,11 +54,11 @@ def make_detectors(
                     f"given; give those of each camera ({ways})"
                 )
             else:
-                made[name] = declaration.make(parameters)
-    idle = [name for name in given if name not in asked]
+                by_name[name] = declaration.make(parameters)
+    idle = [name for name in supplied if name not in requested]
     if idle:
         raise DetectorError(f"{idle[0]} are given, and no plate of the graph has births by them")
-    return made
+    return by_name
 
 
 def detectors_of(life: LifeRules | None, views: Views | None) -> dict[str, str]:
@@ -66,18 +66,18 @@ def detectors_of(life: LifeRules | None, views: Views | None) -> dict[str, str]:
     if life is None or life.birth is None:
         return {}
     name = flow_text(as_plain(life.birth.detector))
-    cameras = ("",) if views is None else [one.seen_by for one in views.views.values()]
+    cameras = ("",) if views is None else [view.seen_by for view in views.views.values()]
     return {camera: of_camera(name, camera) for camera in cameras}
 
 
-def _scanner_of(plate: CheckedTarget, given: Mapping[str, Any]) -> Any:
-    """What gives the sensors of a plate their detections."""
-    scanner = given.get(GIVEN)
+def _scanner_of(plate: CheckedTarget, supplied: Mapping[str, Any]) -> Any:
+    """The scanner that gives the sensors of a plate their detections."""
+    scanner = supplied.get(GIVEN)
     if scanner is None or not hasattr(scanner, "scans"):
-        what = "none are given" if scanner is None else "boxes are given"
+        fault = "none are given" if scanner is None else "boxes are given"
         raise DetectorError(
             f"the sensors of {plate.name} ({', '.join(plate.inverses)}) measure detections "
-            f"of quantities, and {what}; give a CSV file of them ({setting('--detections')}), or use "
+            f"of quantities, and {fault}; give a CSV file of them ({setting('--detections')}), or use "
             "DetectionsTracker"
         )
     return scanner

@@ -49,7 +49,7 @@ from bayesnet_track.observation.cue import OWN_DETECTION, AssociatingCue, Hypoth
 
 @dataclass(frozen=True, eq=False)
 class Ride:
-    """How a target that may be carried moves: with its carrier, or as its plate does.
+    """Motion of a target that may be carried: with its carrier, or as its plate moves.
 
     Attributes:
         motion: both, in place of the plate's motion.
@@ -148,9 +148,9 @@ Stepped = tuple[Observer, Step[Posterior]]
 """The step of a target, and what asked its agents."""
 
 
-def ready_each(work: FrameContext, before: Mapping[str, TargetState]) -> list[tuple[Ready, Stepped | None]]:
+def ready_each(work: FrameContext, states: Mapping[str, TargetState]) -> list[tuple[Ready, Stepped | None]]:
     """The targets, each with its step where Gaussian beliefs that move alike have been stepped at once."""
-    ready = [Ready.of(work, target, state) for target, state in before.items()]
+    ready = [Ready.of(work, target, state) for target, state in states.items()]
     groups: dict[Hashable, list[Ready]] = {}
     for target in ready:
         if isinstance(target.belief, GaussianFilter) and not work.availability.known:
@@ -339,7 +339,7 @@ def _step_again(
 
 
 def evaluate_at(work: FrameContext, target: str, previous: TargetState, boxes: Floats) -> Evidence:
-    """What the net of a target says of centre boxes (N, 4) that are as probable as each other.
+    """Evidence of a target's net about centre boxes (N, 4) that are as probable as each other.
 
     Every agent with a reference is asked, switched off or not. What a state holds beside the box is that of
     the belief's mean.
@@ -393,7 +393,7 @@ def _renamed(stream: Stream, name: str, purpose: str) -> np.random.Generator:
 
 
 def _evaluation(work: FrameContext, modes: Modes | None, observer: Observer, plan: Plan) -> Evaluate:
-    """What the net says of hypotheses, those that are hidden included."""
+    """Evidence of the net about hypotheses, those that are hidden included."""
     visible = partial(evaluate, plan, observer)
     if modes is None:
         return visible

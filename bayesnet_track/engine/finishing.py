@@ -347,12 +347,12 @@ def _groups_of(work: FrameContext, filtered: Together) -> list[LiveGroup]:
             group = group.take(fits)
         if fits:
             groups.append(LiveGroup(group, [work.net.targets[target] for target in group.ids]))
-    find_maps(one.step for one in objects)
+    find_maps(target.step for target in objects)
     by_key: dict[Hashable, list[Filtered]] = {}
     nets: dict[str, TargetNet] = {}
-    for one in objects:
-        nets[one.target] = net = _live_net(work, one)
-        by_key.setdefault(_key(one, net), []).append(one)
+    for target_step in objects:
+        nets[target_step.target] = net = _live_net(work, target_step)
+        by_key.setdefault(_key(target_step, net), []).append(target_step)
     for targets in by_key.values():
         each = FilteredEach(work.plate_of(targets[0].target), targets)
         groups.append(LiveGroup(each, [nets[target] for target in each.ids]))

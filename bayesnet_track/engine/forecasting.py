@@ -22,7 +22,7 @@ from bayesnet_track.observation.timed_columns import values_at
 
 @dataclass(frozen=True)
 class Forecast(HasBox):
-    """Where a target is expected some frames ahead.
+    """Expected state of a target some frames ahead.
 
     Attributes:
         target: target id.
@@ -57,7 +57,7 @@ def forecast(
     engine: Engine,
     state: TargetState,
     birth: str,
-    last: FrameMetrics,
+    measured: FrameMetrics,
     frames: int,
     size: tuple[int, int],
 ) -> list[Forecast]:
@@ -67,7 +67,7 @@ def forecast(
         engine: of the run.
         state: what is known of the target after the last frame.
         birth: what its draws are keyed by.
-        last: what was measured of it there.
+        measured: what was measured of it there.
         frames: how far to look.
         size: width and height of the image.
 
@@ -77,40 +77,40 @@ def forecast(
     """
     compiled = engine.plates[state.plan.target]
     free = _motion_of(compiled, state)
-    belief, found = state.belief, []
-    for ahead in range(1, frames + 1):
-        coming = last.frame + ahead
-        known = values_at(engine.inputs, (coming, coming - 1), (last.time_s, last.time_s))
-        inputs = {"t": state.time + ahead, **known}
+    belief, forecasts = state.belief, []
+    for horizon in range(1, frames + 1):
+        coming = measured.frame + horizon
+        numbers = values_at(engine.inputs, (coming, coming - 1), (measured.time_s, measured.time_s))
+        inputs = {"t": state.time + horizon, **numbers}
         motion = confined(free, *size, inputs)
-        stream = engine.streams.of(birth, compiled.plate.root, moment_of(state.time + ahead), "forecast")
+        stream = engine.streams.of(birth, compiled.plate.root, moment_of(state.time + horizon), "forecast")
         belief = compiled.belief.predict(belief, motion, 1.0, stream)
-        expected = _described(compiled, belief, last, ahead)
+        expected = _described(compiled, belief, measured, horizon)
         if engine.queries:
-            answers = forecast_numbers(engine, compiled.plate.name, (last.target, belief), size, inputs)
+            answers = forecast_numbers(engine, compiled.plate.name, (measured.target, belief), size, inputs)
             expected = replace(expected, queries=answers)
-        found.append(expected)
-    return found
+        forecasts.append(expected)
+    return forecasts
 
 
 def _motion_of(compiled: CompiledPlate, state: TargetState) -> MotionModel:
-    known = state.motion_context
-    if compiled.moving is None or known is None or known.influences is None:
+    context = state.motion_context
+    if compiled.moving is None or context is None or context.influences is None:
         return compiled.motion
-    return compose_motion(compiled.motion, compiled.moving, replace(known.influences, dt=1.0, camera=None))
+    return compose_motion(compiled.motion, compiled.moving, replace(context.influences, dt=1.0, camera=None))
 
 
-def _described(compiled: CompiledPlate, belief: Posterior, last: FrameMetrics, ahead: int) -> Forecast:
+def _described(compiled: CompiledPlate, belief: Posterior, measured: FrameMetrics, horizon: int) -> Forecast:
     mean, variances = belief.mean[:4], np.clip(np.diagonal(belief.covariance)[:4], 0.0, None).copy()
     region50, region90 = belief.regions((0.5, 0.9))
     error = compiled.plate.inference(compiled.plate.root).localization_error
     if error is not None:
-        wide = blur_regions(belief, error, last.score, float(np.sqrt(max(mean[2] * mean[3], 1.0))))
+        wide = blur_regions(belief, error, measured.score, float(np.sqrt(max(mean[2] * mean[3], 1.0))))
         region50, region90 = wide.region50, wide.region90
         variances[:2] += wide.variance
     return Forecast(
-        last.target,
-        ahead,
+        measured.target,
+        horizon,
         tuple(mean.tolist()),
         tuple(np.sqrt(variances).tolist()),
         tuple(float(value) for value in region50),

@@ -44,50 +44,50 @@ class ExternalInputs:
 
     @property
     def to_repeat(self) -> tuple[Input, ...]:
-        """What has to be given again for the frame to repeat; complete when the frame is done."""
+        """Inputs that repeat the frame when given again; complete when the frame is done."""
         return (*self.inputs, *self.availability.events)
 
 
-def route_inputs(engine: Engine, net: Net, frame: int, given: Iterable[Input]) -> ExternalInputs:
+def route_inputs(engine: Engine, net: Net, frame: int, submitted: Iterable[Input]) -> ExternalInputs:
     """The inputs that are given with `frame`, by whom they concern in the net that it begins with."""
-    inputs = tuple(replace(one, frame=frame) for one in given)
+    inputs = tuple(replace(entry, frame=frame) for entry in submitted)
     if not inputs:
         return ExternalInputs((), Availability(frame), {}, (), ())
     by_hand: dict[str, tuple[ByHand, ...]] = {}
     refused: list[InputRefused] = []
-    for one in inputs:
-        if not isinstance(one, ByHand):
+    for entry in inputs:
+        if not isinstance(entry, ByHand):
             continue
-        reason = _impossible(engine, net, one)
+        reason = _impossible(engine, net, entry)
         if reason:
-            refused.append(InputRefused(frame, one.target, one.node, reason))
+            refused.append(InputRefused(frame, entry.target, entry.node, reason))
         else:
-            by_hand[one.target] = (*by_hand.get(one.target, ()), one)
+            by_hand[entry.target] = (*by_hand.get(entry.target, ()), entry)
     return ExternalInputs(
-        tuple(one for one in inputs if not isinstance(one, AgentMissed)),
-        Availability.of(frame, (one for one in inputs if isinstance(one, AgentMissed))),
+        tuple(entry for entry in inputs if not isinstance(entry, AgentMissed)),
+        Availability.of(frame, (entry for entry in inputs if isinstance(entry, AgentMissed))),
         by_hand,
         tuple(refused),
-        tuple(one for one in inputs if isinstance(one, LateFrame | SpareTime)),
+        tuple(entry for entry in inputs if isinstance(entry, LateFrame | SpareTime)),
     )
 
 
-def _impossible(engine: Engine, net: Net, asked: ByHand) -> str:
-    """Why it cannot be done; empty when it can."""
-    if asked.target not in net.targets:
-        return f"there is no target {asked.target}"
-    live = net.targets[asked.target]
-    if asked.node not in engine.plates[live.template].plate.agents:
-        return f"{live.template} has no agent {asked.node}"
-    if isinstance(asked, Toggled) and asked.on and asked.node in live.quarantined:
-        until = live.faults[asked.node].until
-        return f"{asked.node} failed and is out {'for good' if until is None else f'until frame {until}'}"
+def _impossible(engine: Engine, net: Net, request: ByHand) -> str:
+    """The reason why it cannot be done; empty when it can."""
+    if request.target not in net.targets:
+        return f"there is no target {request.target}"
+    live = net.targets[request.target]
+    if request.node not in engine.plates[live.template].plate.agents:
+        return f"{live.template} has no agent {request.node}"
+    if isinstance(request, Toggled) and request.on and request.node in live.quarantined:
+        end = live.faults[request.node].until
+        return f"{request.node} failed and is out {'for good' if end is None else f'until frame {end}'}"
     return ""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameContext:
-    """What is shared by all that is done in one frame. What lasts longer is in `engine` or in a state.
+    """All that is shared within one frame. What lasts longer is in `engine` or in a state.
 
     Attributes:
         engine: the graph ready to run, made once for all frames.
@@ -117,11 +117,11 @@ class FrameContext:
 
     @property
     def inputs(self) -> Mapping[str, float]:
-        """What names of expressions stand for that are the same of all targets in the frame."""
+        """Values of the names in expressions that are the same for all targets in the frame."""
         return self.cache.frames.names
 
     def plate_of(self, target: str) -> CompiledPlate:
-        """What the target's plate needs to run."""
+        """The compiled plate of the target."""
         return self.engine.plates[self.net.targets[target].template]
 
     def stream(self, target: str, node: str) -> Stream:
@@ -134,15 +134,15 @@ class FrameContext:
 
     @property
     def moment(self) -> int:
-        """What the frame's draws are keyed by."""
+        """The key of the frame's draws."""
         return moment_of(self.frame.time)
 
     def births_of(self, targets: Iterable[str]) -> list[str]:
-        """What the draws of targets are keyed by."""
+        """The keys of the draws of targets."""
         return [self.births[target] for target in targets]
 
     def availability_of(self, target: str, during: str) -> TargetAvailability:
-        """Which of the target's agents give no answer when asked for one thing."""
+        """The target's agents that give no answer when asked for one thing."""
         return self.availability.of_target(target, during)
 
     def note_fault(self, target: str, during: str, agent: str, fault: Fault) -> None:
@@ -152,11 +152,11 @@ class FrameContext:
         else:
             self.availability.note(target, agent, during, fault.reason)
 
-    def charge(self, part: str, started: float) -> float:
-        """Add the seconds since `started` to a part's; the moment."""
-        now = self.engine.clock()
-        self.seconds[part] = self.seconds.get(part, 0.0) + now - started
-        return now
+    def charge(self, part: str, start: float) -> float:
+        """Add the seconds since `start` to a part's; the moment."""
+        moment = self.engine.clock()
+        self.seconds[part] = self.seconds.get(part, 0.0) + moment - start
+        return moment
 
 
 def planes_of_each(
@@ -176,16 +176,16 @@ def planes_of_each(
     """
     from bayesnet_track.numerics.kernels.box_kernels import crops_of_each
 
-    started, frame = work.engine.clock(), work.frame
+    start, frame = work.engine.clock(), work.frame
     corners = crops_of_each(boxes, starts, grow, frame.width, frame.height)
     areas = np.clip(corners[:, 2:] - corners[:, :2], 0, None).prod(axis=1)
-    whole, needs = Region(0, 0, frame.width, frame.height), tuple(needs)
-    if share and len(corners) > 1 and (len(corners) > MANY or 2 * areas.sum() > whole.area):
-        found = [work.cache.planes(needs, whole)] * len(corners)
+    image, needs = Region(0, 0, frame.width, frame.height), tuple(needs)
+    if share and len(corners) > 1 and (len(corners) > MANY or 2 * areas.sum() > image.area):
+        crops = [work.cache.planes(needs, image)] * len(corners)
     else:
-        found = [work.cache.planes(needs, Region(*own)) for own in corners.tolist()]
-    work.charge("planes", started)
-    return found
+        crops = [work.cache.planes(needs, Region(*corner)) for corner in corners.tolist()]
+    work.charge("planes", start)
+    return crops
 
 
 def ask_together(
@@ -199,20 +199,24 @@ def ask_together(
     Those of target t of the group are `starts[t]` to `starts[t + 1] - 1` of the hypotheses. A group is a
     plate, the plan whose agents are asked, and what each of them remembers of each target.
     """
-    compiled, plan, known = group
+    compiled, plan, references_by_agent = group
     messages: dict[str, Floats] = {}
     failed: dict[int, dict[str, Fault]] = {}
-    for one in plan.observations:
-        cue, references = compiled.cues[one.agent], known[one.agent]
+    for observation in plan.observations:
+        cue, references = compiled.cues[observation.agent], references_by_agent[observation.agent]
         share = hasattr(cue, "log_likelihood_of_each")
         try:
             planes = planes_of_each(work, cue.needs, hypotheses.boxes, starts, share=share)
         except FAULTS:  # of planes: whose is found out where each target is asked by itself
-            return {**messages, one.agent: np.zeros(len(hypotheses))}, {t: {} for t in range(len(references))}
-        started = work.engine.clock()
+            return {**messages, observation.agent: np.zeros(len(hypotheses))}, {
+                t: {} for t in range(len(references))
+            }
+        start = work.engine.clock()
         values, faults = score(cue, planes, hypotheses, starts, references)
-        work.charge(one.agent, started)
-        messages[one.agent] = values if one.temperature == 1.0 else values / one.temperature
+        work.charge(observation.agent, start)
+        messages[observation.agent] = (
+            values if observation.temperature == 1.0 else values / observation.temperature
+        )
         for t, fault in faults.items():
-            failed.setdefault(t, {})[one.agent] = fault
+            failed.setdefault(t, {})[observation.agent] = fault
     return messages, failed

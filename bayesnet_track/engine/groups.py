@@ -256,8 +256,13 @@ class FilteredEach:
         active, references = self.plan.active, self.references
         if not active or not active <= self.compiled.association_rules.keys():
             return None
-        own = zip(*(references[agent] for agent in active), strict=True)
-        unasked = np.array([all(OWN_DETECTION not in one for one in several) for several in own])
+        by_target = zip(*(references[agent] for agent in active), strict=True)
+        unasked = np.array(
+            [
+                all(OWN_DETECTION not in reference for reference in references_of)
+                for references_of in by_target
+            ]
+        )
         return unasked if unasked.any() else None
 
     def statuses(self, nets: Sequence[TargetNet]) -> Ints:
@@ -288,8 +293,8 @@ class FilteredEach:
 
     def heard(self, row: int) -> AgentMessages:
         """Answers of the agents of one target."""
-        one = self.targets[row]
-        return AgentMessages.of(one.step, one.plan.active)
+        target = self.targets[row]
+        return AgentMessages.of(target.step, target.plan.active)
 
     def beside(self, row: int) -> Filtered | None:
         """The same: it may say more than the columns."""
@@ -301,7 +306,7 @@ class FilteredEach:
 
     def estimates(self, rule: Estimate | None) -> Floats:
         """(T, D) states that stand for the beliefs."""
-        return np.array([estimate(rule, one.step) for one in self.targets])
+        return np.array([estimate(rule, target.step) for target in self.targets])
 
     def apart(self, decided: Collection[int]) -> Mapping[int, str]:
         """Row -> target, of all."""

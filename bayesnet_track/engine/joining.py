@@ -49,7 +49,7 @@ Steps = dict[str, Step[Posterior]]
 
 @dataclass(frozen=True, eq=False)
 class JointBelief:
-    """What the joint beliefs of one frame gave.
+    """Results of the joint beliefs of one frame.
 
     Attributes:
         filtered: target -> the first half of its frame, with the weights of the joint belief.
@@ -87,8 +87,8 @@ def join_targets(work: FrameContext, memory: JoinMemory, filtered: Together) -> 
     """The joint belief of all joined targets, and what follows from it for each."""
     if not work.engine.joins:
         return JointBelief(filtered, memory)
-    started = work.engine.clock()
-    levels, seen = levels_of(memory.levels, filtered)
+    start = work.engine.clock()
+    levels, measured = levels_of(memory.levels, filtered)
     tree = _tree(work, memory, filtered)
     marginals, orders = _marginals(work, tree, levels, filtered)
     stacked, crosses = relate_gaussians(work, _linear_factors(work, tree), memory.crosses, filtered)
@@ -97,44 +97,44 @@ def join_targets(work: FrameContext, memory: JoinMemory, filtered: Together) -> 
     steps, metrics, carried = _split_joint(carriers, marginals, pairs, filtered)
     steps |= stacked
     centres = {carrier: filtered[carrier].step.posterior.mean[:2] for carrier, _ in carriers.values()}
-    levels = levels_after(memory.levels, seen, metrics, filtered)
-    after = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres, crosses=crosses)
-    after = report_hidden(work.frame.index, metrics, after, events)
-    after = report_carried(work.frame.index, metrics, carriers, after, events)
-    work.charge("joins", started)
-    others = {
-        name: _joined(one, steps[name], metrics[name]) if name in metrics else one
-        for name, one in filtered.others.items()
+    levels = levels_after(memory.levels, measured, metrics, filtered)
+    joined = replace(memory, pairs=pairs, levels=levels, carried=carried, centres=centres, crosses=crosses)
+    joined = report_hidden(work.frame.index, metrics, joined, events)
+    joined = report_carried(work.frame.index, metrics, carriers, joined, events)
+    work.charge("joins", start)
+    targets = {
+        name: _joined(target, steps[name], metrics[name]) if name in metrics else target
+        for name, target in filtered.others.items()
     }
-    said = {name: marginal.log_likelihood for name, marginal in marginals.items()}
-    groups = [group.reweighted(said, metrics) for group in filtered.groups]
-    return JointBelief(Together(groups, others, filtered.order), after, tuple(events))
+    messages = {name: marginal.log_likelihood for name, marginal in marginals.items()}
+    groups = [group.reweighted(messages, metrics) for group in filtered.groups]
+    return JointBelief(Together(groups, targets, filtered.order), joined, tuple(events))
 
 
 def reaches_of(names: Sequence[str], boxes: Floats, variances: Floats) -> Reaches:
-    """Where beliefs, with mean boxes (T, 4) and variances (T, 4) of them, say that their targets are."""
+    """Places of targets by their beliefs, with mean boxes (T, 4) and variances (T, 4) of them."""
     return Reaches(names, boxes, np.sqrt(np.clip(variances[:, :2], 0.0, None)))
 
 
 # ------------------------------------------------------------------------------------ the joint belief
 
 
-def _joined(one: Filtered, step: Step[Posterior], metrics: JoinMetrics) -> Filtered:
-    modes = None if one.modes is None else one.modes.joined(step.posterior)
-    return evolve(one, step=step, join=metrics, modes=modes)
+def _joined(target: Filtered, step: Step[Posterior], metrics: JoinMetrics) -> Filtered:
+    modes = None if target.modes is None else target.modes.joined(step.posterior)
+    return evolve(target, step=step, join=metrics, modes=modes)
 
 
-def _tree(work: FrameContext, memory: JoinMemory, of: Together) -> _Tree:
+def _tree(work: FrameContext, memory: JoinMemory, filtered: Together) -> _Tree:
     """The pairs of this frame, and along which of them evidence is shared."""
     rules = {pair: work.engine.joins[join.rule] for pair, join in work.net.joins.items()}
     pairs: dict[Pair, PairMemory] = {}
     for pair in work.net.joins:
-        known = memory.pairs.get(pair, PairMemory())
-        pairs[pair] = evolve(known, first_in_front=_predict_order(known, rules[pair]))
+        remembered = memory.pairs.get(pair, PairMemory())
+        pairs[pair] = evolve(remembered, first_in_front=_predict_order(remembered, rules[pair]))
     gaussian = [
         pair
         for pair in pairs
-        if of.row(pair[0]) is None and isinstance(of[pair[0]].step.posterior, GaussianPosterior)
+        if filtered.row(pair[0]) is None and isinstance(filtered[pair[0]].step.posterior, GaussianPosterior)
     ]
     sharing = {
         pair: memory_of_pair.overlap
@@ -152,12 +152,12 @@ def _tree(work: FrameContext, memory: JoinMemory, of: Together) -> _Tree:
                 rules[pair].pairings,
                 pair_factor(rules[pair], _constants(work, pair), work.inputs, flaws.get(pair)),
             )
-            for pair in chosen
+            for pair in links
             if pair not in gaussian
             and (pairs[pair].overlap > 0 or rules[pair].factor is not None)
-            and not any(is_degenerate(of, name) for name in pair)
+            and not any(is_degenerate(filtered, name) for name in pair)
         )
-        for chosen in (tree, left_out)
+        for links in (tree, left_out)
     )
     return _Tree(pairs, left_out, edges, closing, flaws, gaussian)
 
@@ -180,14 +180,16 @@ def _constants(work: FrameContext, pair: Pair) -> Mapping[str, float]:
 
 
 def _marginals(
-    work: FrameContext, tree: _Tree, levels: Mapping[str, Level], of: Together
+    work: FrameContext, tree: _Tree, levels: Mapping[str, Level], filtered: Together
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The joint belief's marginals, and of each edge the probability that its first target is in front."""
     relates = any(edge.factor is not None for edge in (*tree.edges, *tree.closing))
     neighbours = _neighbours((*tree.edges, *tree.closing))
-    on = logs_on(work, neighbours, of)
+    on_others = logs_on(work, neighbours, filtered)
     members = {
-        name: _member(of, name, levels[name], on[name], _states_of(of[name]) if relates else {})
+        name: _member(
+            filtered, name, levels[name], on_others[name], _states_of(filtered[name]) if relates else {}
+        )
         for name in neighbours
     }
 
@@ -199,35 +201,35 @@ def _marginals(
 
 
 def _member(
-    of: Together, name: str, level: Level, on: Mapping[str, float], states: Mapping[str, Floats]
+    filtered: Together, name: str, level: Level, on_others: Mapping[str, float], states: Mapping[str, Floats]
 ) -> Member:
     """A target's hypotheses."""
-    at = of.row(name)
-    if at is None:
-        one = of[name]
-        boxes, prior = np.ascontiguousarray(one.step.support.boxes), _prior_of(one)
-        log, plan = log_seen(one.plan.factors, one.step.evidence), one.plan
+    place = filtered.row(name)
+    if place is None:
+        target = filtered[name]
+        boxes, prior = np.ascontiguousarray(target.step.support.boxes), _prior_of(target)
+        log, plan = log_seen(target.plan.factors, target.step.evidence), target.plan
     else:
-        group, row = at
+        group, row = place
         boxes, prior, log, plan = group.boxes[row], group.prior, group.own[row], group.plan
-    return Member(boxes, prior, log, level.log, on, max(len(plan.observations), 1), level.best, states)
+    return Member(boxes, prior, log, level.log, on_others, max(len(plan.observations), 1), level.best, states)
 
 
 def _update_pairs(
     frame: int, tree: _Tree, orders: Mapping[Pair, float]
 ) -> tuple[dict[Pair, PairMemory], list[Event]]:
-    """What is remembered of each pair; which are left out of a ring, or have a flawed factor, from now on."""
+    """Memory of each pair; events of those left out of a ring, or with a flawed factor, from now on."""
     pairs: dict[Pair, PairMemory] = {}
     events: list[Event] = []
-    for pair, one in tree.pairs.items():
+    for pair, memory in tree.pairs.items():
         is_out = pair in tree.left_out
-        if one.left_out != is_out:
-            events.append(RingChanged(frame, *pair, is_out, one.overlap, tree.left_out.get(pair, pair)))
+        if memory.left_out != is_out:
+            events.append(RingChanged(frame, *pair, is_out, memory.overlap, tree.left_out.get(pair, pair)))
         flaw = tree.flaws.get(pair, PairFlaw())
-        if one.flawed != bool(flaw):
+        if memory.flawed != bool(flaw):
             events.append(PairFactorChanged(frame, *pair, flaw.undefined, flaw.pairs, flaw.ignored))
-        in_front = orders.get(pair, one.first_in_front)
-        pairs[pair] = evolve(one, first_in_front=in_front, left_out=is_out, flawed=bool(flaw))
+        in_front = orders.get(pair, memory.first_in_front)
+        pairs[pair] = evolve(memory, first_in_front=in_front, left_out=is_out, flawed=bool(flaw))
     return pairs, events
 
 
@@ -235,62 +237,62 @@ def _split_joint(
     carriers: Carriers,
     marginals: Mapping[str, Marginal],
     pairs: Mapping[Pair, PairMemory],
-    of: Together,
+    filtered: Together,
 ) -> tuple[Steps, dict[str, JoinMetrics], dict[str, CarriedHypotheses]]:
     """Each target's own step of the joint belief, what is written down, and which hypotheses are carried."""
-    steps = {name: _reweight(one, marginals.get(name)) for name, one in of.others.items()}
+    steps = {name: _reweight(target, marginals.get(name)) for name, target in filtered.others.items()}
     carried: dict[str, CarriedHypotheses] = {}
     metrics: dict[str, JoinMetrics] = {}
     in_front: dict[str, dict[str, float]] = {}
-    for (first, second), one in pairs.items():
-        in_front.setdefault(first, {})[second] = one.first_in_front
-        in_front.setdefault(second, {})[first] = 1.0 - one.first_in_front
+    for (first, second), memory in pairs.items():
+        in_front.setdefault(first, {})[second] = memory.first_in_front
+        in_front.setdefault(second, {})[first] = 1.0 - memory.first_in_front
     for name, fronts in in_front.items():
-        probability, at = None, of.row(name)
+        probability, place = None, filtered.row(name)
         if name in carriers:
             steps[name], carried[name] = without_ride(steps[name])
             probability = float(steps[name].support.weights.weights @ carried[name].hypotheses)
         hidden = marginals[name].hidden if name in marginals else {}
-        ess = of[name].step.support.weights.ess if at is None else at[0].ess[at[1]]
+        ess = filtered[name].step.support.weights.ess if place is None else place[0].ess[place[1]]
         metrics[name] = _metrics(fronts, hidden, probability, ess)
     return steps, metrics, carried
 
 
 def _neighbours(edges: Sequence[Edge]) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    neighbours: dict[str, list[str]] = {}
     for first, second in (edge.pair for edge in edges):
-        found.setdefault(first, []).append(second)
-        found.setdefault(second, []).append(first)
-    return found
+        neighbours.setdefault(first, []).append(second)
+        neighbours.setdefault(second, []).append(first)
+    return neighbours
 
 
-def _predict_order(one: PairMemory, rule: Join) -> float:
+def _predict_order(pair: PairMemory, rule: Join) -> float:
     """P(first in front) before this frame's evidence: the chain's prediction."""
-    return one.first_in_front * rule.stay + (1.0 - one.first_in_front) * (1.0 - rule.stay)
+    return pair.first_in_front * rule.stay + (1.0 - pair.first_in_front) * (1.0 - rule.stay)
 
 
-def _states_of(one: Filtered) -> dict[str, Floats]:
+def _states_of(target: Filtered) -> dict[str, Floats]:
     """Field -> its (N,) values at a target's hypotheses, with their modes and what they are."""
-    states = dict(zip(one.step.posterior.fields, one.step.support.states.T, strict=True))
-    return states if one.modes is None else {**states, **one.modes.modes.fields(states[FIELD])}
+    states = dict(zip(target.step.posterior.fields, target.step.support.states.T, strict=True))
+    return states if target.modes is None else {**states, **target.modes.modes.fields(states[FIELD])}
 
 
-def _prior_of(one: Filtered) -> LogWeights:
+def _prior_of(target: Filtered) -> LogWeights:
     """The prior weights of its hypotheses, factors included: they are no evidence of pixels."""
-    if not one.plan.factors:
-        return one.step.prior
-    return one.step.prior.times(log_prior_factor(one.plan.factors, one.step.evidence))[0]
+    if not target.plan.factors:
+        return target.step.prior
+    return target.step.prior.times(log_prior_factor(target.plan.factors, target.step.evidence))[0]
 
 
-def _reweight(one: Filtered, marginal: Marginal | None) -> Step[Posterior]:
+def _reweight(target: Filtered, marginal: Marginal | None) -> Step[Posterior]:
     """The step with the weights of the joint belief; as it was where this leaves no hypothesis."""
-    step = one.step
+    step = target.step
     if marginal is None:
         return step
     particles(step.posterior)
     try:
-        said = marginal.log_likelihood + log_prior_factor(one.plan.factors, step.evidence)
-        return reweight_step(step, said)  # type: ignore[arg-type]
+        message = marginal.log_likelihood + log_prior_factor(target.plan.factors, step.evidence)
+        return reweight_step(step, message)  # type: ignore[arg-type]
     except DegenerateWeights:
         return step
 
@@ -299,5 +301,5 @@ def _metrics(
     in_front: Mapping[str, float], hidden: Mapping[str, float], attached: float | None, ess_own: float
 ) -> JoinMetrics:
     share = min(sum(hidden.values()), 1.0)
-    behind = max(hidden, key=lambda other: hidden[other]) if share > 0.01 else ""
+    behind = max(hidden, key=lambda target: hidden[target]) if share > 0.01 else ""
     return JoinMetrics(tuple(in_front), share, behind, dict(in_front), attached, ess_own)

@@ -88,10 +88,10 @@ def judge_group(work: FrameContext, group: LiveGroup) -> JudgedGroup:
         ]
     see = partial(_see, (work.frame.index, work.frame.stride), group, measures, scores)
     inputs = rule_columns(group, measures, scores, see)
-    chosen, memory = decide(inputs, filtered.memory)
+    decisions, memory = decide(inputs, filtered.memory)
     levels = memory.levels_px2(plate.root, plate.below[plate.root] & inputs.active)
     return JudgedGroup(
-        filtered, nets, inputs.statuses, states, boxes, measures, scores, chosen, memory, levels, see
+        filtered, nets, inputs.statuses, states, boxes, measures, scores, decisions, memory, levels, see
     )
 
 
@@ -125,7 +125,7 @@ def rule_columns(
         see=see,
         adaptable=compiled.adaptable,
         hidden=np.array(hidden) if any(hidden) else None,
-        score=np.array([one.score for one in scores]) if scores else None,
+        score=np.array([outcome.score for outcome in scores]) if scores else None,
         existence=_existence(filtered),
         is_hidden=filtered.is_hidden,
         is_unasked=filtered.is_unasked,
@@ -150,7 +150,7 @@ def _see(
 ) -> RuleInputs:
     """All that the rules of one target see; `frame` is its number and stride: it is not to be held."""
     filtered, compiled, (index, stride) = group.filtered, group.filtered.compiled, frame
-    one, existence = filtered.beside(row), _existence(filtered)
+    target, existence = filtered.beside(row), _existence(filtered)
     return RuleInputs(
         index,
         filtered.ids[row],
@@ -161,9 +161,9 @@ def _see(
         compiled.adaptable,
         filtered.hidden[row],
         scores[row].score if scores else None,
-        {} if one is None else one.missed,
+        {} if target is None else target.missed,
         None if existence is None else float(existence[row]),
-        None if one is None or one.modes is None else one.modes.hiding,
-        None if one is None else one.call,
+        None if target is None or target.modes is None else target.modes.hiding,
+        None if target is None else target.call,
         stride,
     )

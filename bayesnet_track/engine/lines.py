@@ -126,26 +126,30 @@ class Lines(Sequence[FrameMetrics]):
         """Boxes and statuses of the targets; makes no lines."""
         groups = self._groups
         born = self.born if self._made is None else self._made
-        parts = [] if self._made is not None else [Places(one.ids, one.boxes, one.is_lost) for one in groups]
+        parts = (
+            []
+            if self._made is not None
+            else [Places(group.ids, group.boxes, group.is_lost) for group in groups]
+        )
         if born:
             boxes = np.array([line.centre_box for line in born])
             lost = np.array([line.is_gone for line in born])
             parts.append(Places([line.target for line in born], boxes, lost))
         if len(parts) == 1:
-            (whole,) = parts
+            (places,) = parts
         elif not parts:
-            whole = Places((), np.empty((0, 4)), np.empty(0, dtype=np.bool_))
+            places = Places((), np.empty((0, 4)), np.empty(0, dtype=np.bool_))
         else:
-            whole = Places(
+            places = Places(
                 [target for part in parts for target in part.ids],
                 np.concatenate([part.boxes for part in parts]),
                 np.concatenate([part.is_lost for part in parts]),
             )
-        if whole.ids is self._order or tuple(whole.ids) == tuple(self.ids):
-            return whole
-        index = dict(zip(whole.ids, range(len(whole.ids)), strict=True))
+        if places.ids is self._order or tuple(places.ids) == tuple(self.ids):
+            return places
+        index = dict(zip(places.ids, range(len(places.ids)), strict=True))
         rows = [index[target] for target in self.ids]
-        return Places(self.ids, whole.boxes[rows], whole.is_lost[rows])
+        return Places(self.ids, places.boxes[rows], places.is_lost[rows])
 
     def boxes_of(self, targets: Sequence[str]) -> Floats:
         """(K, 4) centre boxes of some targets, px."""
@@ -189,20 +193,20 @@ class Lines(Sequence[FrameMetrics]):
         return self._made
 
     def _make(self, groups: Sequence[LineGroup], hypotheses: bool) -> tuple[FrameMetrics, ...]:
-        made = [line for group in groups for line in group.lines(hypotheses)]
-        if [line.target for line in made] != [*self._order]:
-            of = {line.target: line for line in made}
-            made = [of[target] for target in self._order]
-        return (*_identified(_answered(made, self.answers), self.identities), *self.born)
+        lines = [line for group in groups for line in group.lines(hypotheses)]
+        if [line.target for line in lines] != [*self._order]:
+            by_target = {line.target: line for line in lines}
+            lines = [by_target[target] for target in self._order]
+        return (*_identified(_answered(lines, self.answers), self.identities), *self.born)
 
     @overload
-    def __getitem__(self, at: int) -> FrameMetrics: ...
+    def __getitem__(self, index: int) -> FrameMetrics: ...
 
     @overload
-    def __getitem__(self, at: slice) -> tuple[FrameMetrics, ...]: ...
+    def __getitem__(self, index: slice) -> tuple[FrameMetrics, ...]: ...
 
-    def __getitem__(self, at: int | slice) -> FrameMetrics | tuple[FrameMetrics, ...]:
-        return self._lines()[at]
+    def __getitem__(self, index: int | slice) -> FrameMetrics | tuple[FrameMetrics, ...]:
+        return self._lines()[index]
 
     def __iter__(self) -> Iterator[FrameMetrics]:
         return iter(self._lines())

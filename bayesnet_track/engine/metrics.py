@@ -141,8 +141,8 @@ def state_numbers(belief: Posterior, on_ground: bool = False) -> dict[str, float
     means = {name: mean[place] for name, place in places.items()}
     numbers = means | {f"{name}_sd": sds[place] for name, place in places.items()}
     if on_ground:
-        both = sds[0] * sds[1]
-        numbers["xy_corr"] = float(covariance[0, 1]) / both if both > 0.0 else 0.0
+        scale = sds[0] * sds[1]
+        numbers["xy_corr"] = float(covariance[0, 1]) / scale if scale > 0.0 else 0.0
     return numbers
 
 
@@ -231,62 +231,70 @@ def find_summaries(
 def _summarise(
     work: FrameContext, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
 ) -> dict[str, Summary]:
-    alike, alone = _alike(filtered)
-    found = {target: summarise_one(work, filtered[target], spreads[target]) for target in alone}
-    for targets in alike:
-        several = [filtered[target] for target in targets]
-        found |= _summarise_rows(work, several, np.array([spreads[target] for target in targets]))
-    return found
+    stackable, single = _alike(filtered)
+    summaries = {target: summarise_one(work, filtered[target], spreads[target]) for target in single}
+    for targets in stackable:
+        members = [filtered[target] for target in targets]
+        summaries |= _summarise_rows(work, members, np.array([spreads[target] for target in targets]))
+    return summaries
 
 
 def find_covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
     """Target -> (D, D) covariance of its belief."""
     groups = filtered.groups if isinstance(filtered, Together) else ()
-    found = dict(pair for group in groups for pair in zip(group.ids, group.clouds.covariances, strict=True))
-    alike, alone = _alike(
-        {target: one for target, one in filtered.items() if target not in found}
-        if len(found) < len(filtered)
+    covariances = dict(
+        pair for group in groups for pair in zip(group.ids, group.clouds.covariances, strict=True)
+    )
+    stackable, single = _alike(
+        {target: target_step for target, target_step in filtered.items() if target not in covariances}
+        if len(covariances) < len(filtered)
         else {}
     )
-    found |= {target: filtered[target].step.posterior.covariance for target in alone}
-    for targets in alike:
+    covariances |= {target: filtered[target].step.posterior.covariance for target in single}
+    for targets in stackable:
         clouds = Clouds.of([particles(filtered[target].step.posterior) for target in targets])
-        found.update(zip(targets, clouds.covariances, strict=True))
-    return found
+        covariances.update(zip(targets, clouds.covariances, strict=True))
+    return covariances
 
 
 def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]]:
     """Targets of a plate whose particles make an array; then the others."""
-    alike: dict[Hashable, list[str]] = {}
-    alone: list[str] = []
-    for target, one in filtered.items():
-        own = one.step.posterior
-        if isinstance(own, ParticleSet) and one.step.support is own and not one.plan.views:
-            alike.setdefault((one.plan.root, own.fields, own.states.shape), []).append(target)
+    stackable: dict[Hashable, list[str]] = {}
+    single: list[str] = []
+    for target, target_step in filtered.items():
+        posterior = target_step.step.posterior
+        if (
+            isinstance(posterior, ParticleSet)
+            and target_step.step.support is posterior
+            and not target_step.plan.views
+        ):
+            stackable.setdefault(
+                (target_step.plan.root, posterior.fields, posterior.states.shape), []
+            ).append(target)
         else:
-            alone.append(target)
-    return list(alike.values()), alone
+            single.append(target)
+    return list(stackable.values()), single
 
 
-def summarise_one(work: FrameContext, one: Filtered, covariance: Floats) -> Summary:
+def summarise_one(work: FrameContext, filtered: Filtered, covariance: Floats) -> Summary:
     """The belief of a target after its step in a few numbers, of which the covariance (D, D) is known."""
-    compiled, step = work.plate_of(one.target), one.step
+    compiled, step = work.plate_of(filtered.target), filtered.step
     root = compiled.plate.root
     if compiled.views is not None:
-        return _summarise_in_image(work, one, compiled.views, covariance)
+        return _summarise_in_image(work, filtered, compiled.views, covariance)
     posterior, weights = step.posterior, step.support.weights
-    cloud = posterior.draw(CLOUD_SIZE, work.stream(one.target, root)("cloud"))
+    cloud = posterior.draw(CLOUD_SIZE, work.stream(filtered.target, root)("cloud"))
     regions = list(map(tuple, posterior.regions(SHARES).tolist()))
     surprise = kl(weights.log, step.prior.log)
-    return _summary(work, one, (covariance.diagonal(), weights.ess, surprise, regions, _rounded(cloud)))
+    return _summary(work, filtered, (covariance.diagonal(), weights.ess, surprise, regions, _rounded(cloud)))
 
 
-def _summarise_in_image(work: FrameContext, one: Filtered, views: Views, covariance: Floats) -> Summary:
+def _summarise_in_image(work: FrameContext, filtered: Filtered, views: Views, covariance: Floats) -> Summary:
     """The same of a belief on the ground, as the box in the image that it is seen as."""
-    frame, step = work.frame, one.step
-    root_node = work.plate_of(one.target).plate.root
+    frame, step = work.frame, filtered.step
+    root_node = work.plate_of(filtered.target).plate.root
     box, spread = views.moments(step.posterior.mean, covariance, frame)
-    rng = work.stream(one.target, root_node)("cloud")
+    rng = work.stream(filtered.target, root_node)("cloud")
     cloud = box + rng.standard_normal((CLOUD_SIZE, 4)) @ np.linalg.cholesky(spread + np.eye(4) * 1e-9).T
     np.maximum(cloud[:, 2:], 1.0, out=cloud[:, 2:])
     reach = np.outer(
@@ -296,15 +304,15 @@ def _summarise_in_image(work: FrameContext, one: Filtered, views: Views, covaria
     weights = step.support.weights
     surprise = kl(weights.log, step.prior.log)
     numbers = np.diag(spread), weights.ess, surprise, list(map(tuple, regions.tolist())), _rounded(cloud)
-    return evolve(_summary(work, one, numbers), place=views.boxes(step.map_state[None], frame)[0])
+    return evolve(_summary(work, filtered, numbers), place=views.boxes(step.map_state[None], frame)[0])
 
 
 Numbers = tuple[Floats, float, float, Rows, tuple[tuple[int, ...], ...]]
 
 
-def _summary(work: FrameContext, one: Filtered, numbers: Numbers) -> Summary:
+def _summary(work: FrameContext, filtered: Filtered, numbers: Numbers) -> Summary:
     """A summary, of which `numbers` come first."""
-    step, compiled = one.step, work.plate_of(one.target)
+    step, compiled = filtered.step, work.plate_of(filtered.target)
     hidden = () if compiled.modes is None else compiled.modes.hidden
     return Summary(
         *numbers,
@@ -312,16 +320,21 @@ def _summary(work: FrameContext, one: Filtered, numbers: Numbers) -> Summary:
         step.log_density,
         len(step.support.weights),
         step.posterior,
-        one.join,
+        filtered.join,
         p_values(compiled.plate, step, hidden),
         log_predictive(compiled.plate, step, hidden, compiled.association_rules),
     )
 
 
-def _summarise_rows(work: FrameContext, several: Sequence[Filtered], spreads: Floats) -> dict[str, Summary]:
+def _summarise_rows(
+    work: FrameContext, targets_filtered: Sequence[Filtered], spreads: Floats
+) -> dict[str, Summary]:
     from bayesnet_track.numerics.resampling import look_up_even_of_each
 
-    steps, targets = [one.step for one in several], [one.target for one in several]
+    steps, targets = (
+        [region.step for region in targets_filtered],
+        [filtered.target for filtered in targets_filtered],
+    )
     states = np.array([step.support.states for step in steps])
     weights = np.array([step.support.weights.weights for step in steps])
     log = np.array([step.support.weights.log for step in steps])
@@ -331,17 +344,20 @@ def _summarise_rows(work: FrameContext, several: Sequence[Filtered], spreads: Fl
     regions = np.concatenate([_regions(states[:, :, axis], weights) for axis in (0, 1)], axis=2).tolist()
     root = work.plate_of(targets[0]).plate.root
     shifts = work.engine.streams.uniforms(work.births_of(targets), root, work.moment, "cloud")
-    chosen = look_up_even_of_each(weights, shifts, CLOUD_SIZE)
-    clouds = np.rint(np.take_along_axis(states[:, :, :4], chosen[:, :, None], axis=1)).astype(np.int64)
+    picks = look_up_even_of_each(weights, shifts, CLOUD_SIZE)
+    clouds = np.rint(np.take_along_axis(states[:, :, :4], picks[:, :, None], axis=1)).astype(np.int64)
     numbers = zip(
         variances,
         ess,
         surprises,
-        (list(map(tuple, one)) for one in regions),
+        (list(map(tuple, filtered)) for filtered in regions),
         encode_clouds(clouds),
         strict=True,
     )
-    return {one.target: _summary(work, one, own) for one, own in zip(several, numbers, strict=True)}
+    return {
+        filtered.target: _summary(work, filtered, row)
+        for filtered, row in zip(targets_filtered, numbers, strict=True)
+    }
 
 
 def _regions(values: Floats, weights: Floats) -> Floats:
@@ -351,8 +367,8 @@ def _regions(values: Floats, weights: Floats) -> Floats:
     cumulative = np.take_along_axis(weights, order, axis=1).cumsum(axis=1)
     tails = np.array([tail for share in SHARES for tail in ((1.0 - share) / 2.0, (1.0 + share) / 2.0)])
     levels = tails * cumulative[:, -1:]
-    before = np.stack([(cumulative < levels[:, k, None]).sum(axis=1) for k in range(len(tails))], axis=1)
-    return np.take_along_axis(ordered, before, axis=1).reshape(len(values), len(SHARES), 2)
+    ranks = np.stack([(cumulative < levels[:, k, None]).sum(axis=1) for k in range(len(tails))], axis=1)
+    return np.take_along_axis(ordered, ranks, axis=1).reshape(len(values), len(SHARES), 2)
 
 
 def _rounded(boxes: Floats) -> tuple[tuple[int, ...], ...]:

@@ -37,14 +37,16 @@ class ModeState:
     now: Floats
 
     @staticmethod
-    def of(modes: Modes, before: Posterior, now: Posterior, dt: float) -> ModeState:
-        """Those of two beliefs that are `dt` frame intervals apart."""
-        first, last = (np.maximum(mode_probabilities(one, len(modes)), LEAST) for one in (before, now))
-        return ModeState(modes, first, np.maximum(first @ modes.chain.over(dt), LEAST), last)
+    def of(modes: Modes, previous: Posterior, current: Posterior, dt: float) -> ModeState:
+        """Modes of two beliefs that are `dt` frame intervals apart."""
+        first, final = (
+            np.maximum(mode_probabilities(belief, len(modes)), LEAST) for belief in (previous, current)
+        )
+        return ModeState(modes, first, np.maximum(first @ modes.chain.over(dt), LEAST), final)
 
-    def joined(self, now: Posterior) -> ModeState:
+    def joined(self, posterior: Posterior) -> ModeState:
         """The same after a joint belief has weighed the hypotheses anew."""
-        return replace(self, now=np.maximum(mode_probabilities(now, len(self.modes)), LEAST))
+        return replace(self, now=np.maximum(mode_probabilities(posterior, len(self.modes)), LEAST))
 
     @property
     def hidden(self) -> float | None:
@@ -53,37 +55,42 @@ class ModeState:
 
     @property
     def hiding(self) -> HiddenCause | None:
-        """That probability beside the one above which the target counts as lost."""
+        """The probability of hiding beside the one above which the target counts as lost."""
         hidden = self.hidden
         return None if hidden is None else HiddenCause(self.modes.lost_above, hidden)
 
     def changes(self, frame: int, target: str) -> tuple[ModeChanged, ...]:
-        """What is told where another mode, or another value of a constant, is the most probable one now."""
+        """Events where another mode, or another value of a constant, is the most probable one now."""
         named = [("", self.modes.index[FIELD], self.modes.ways)]
-        named += [(one.name, self.modes.index[one.name], one.values) for one in self.modes.constants]
-        made = (self._change(frame, target, *one) for one in named if len(one[2]) > 1)
-        return tuple(one for one in made if one is not None)
+        named += [
+            (constant.name, self.modes.index[constant.name], constant.values)
+            for constant in self.modes.constants
+        ]
+        changes = (self._change(frame, target, *choice) for choice in named if len(choice[2]) > 1)
+        return tuple(change for change in changes if change is not None)
 
     def _change(
-        self, frame: int, target: str, of: str, index: Ints, names: tuple[str, ...]
+        self, frame: int, target: str, constant: str, index: Ints, names: tuple[str, ...]
     ) -> ModeChanged | None:
-        first, predicted, last = (np.bincount(index, one) for one in (self.before, self.predicted, self.now))
-        mode, before = int(np.argmax(last)), int(np.argmax(first))
+        first, predicted, final = (
+            np.bincount(index, weights) for weights in (self.before, self.predicted, self.now)
+        )
+        mode, former = int(np.argmax(final)), int(np.argmax(first))
         # Where several are as probable as each other nothing has changed.
-        if mode == before or last[mode] <= last[before] * (1.0 + 1e-9):
+        if mode == former or final[mode] <= final[former] * (1.0 + 1e-9):
             return None
-        turning = float(np.log(predicted[before] / predicted[mode]))
+        turning = float(np.log(predicted[former] / predicted[mode]))
         return ModeChanged(
             frame=frame,
             target=target,
             mode=names[mode],
-            before=names[before],
-            probability=float(last[mode]),
+            before=names[former],
+            probability=float(final[mode]),
             predicted=float(predicted[mode]),
-            nats=float(np.log(last[mode] / last[before])) + turning,
+            nats=float(np.log(final[mode] / final[former])) + turning,
             turning=turning,
-            hidden=None if of else self.hidden,
-            of=of,
+            hidden=None if constant else self.hidden,
+            of=constant,
         )
 
 
@@ -123,11 +130,11 @@ def kinds_of(belief: Posterior, modes: Modes | None) -> Floats | None:
 
 def with_kinds(belief: Posterior, modes: Modes | None, kinds: Floats | None) -> Posterior:
     """A belief that starts again, about a target that is what it was with the probabilities `kinds`."""
-    own = kinds_of(belief, modes)
-    if modes is None or own is None or kinds is None:
+    prior_kinds = kinds_of(belief, modes)
+    if modes is None or prior_kinds is None or kinds is None:
         return belief
     with np.errstate(divide="ignore", invalid="ignore"):
-        factors = np.where(own > 0.0, kinds / own, 0.0)
+        factors = np.where(prior_kinds > 0.0, kinds / prior_kinds, 0.0)
     return _reweighed(belief, factors[modes.kinds])
 
 
@@ -152,7 +159,7 @@ def _reweighed(belief: Posterior, factors: Floats) -> Posterior:
 
 def with_labels(rule: AssociationRule, parameters: object, modes: Modes | None) -> AssociationRule:
     """The rule with how labels are evidence, by the `confusion` of an agent's parameters."""
-    constants = {} if modes is None else {one.name: one for one in modes.constants}
+    constants = {} if modes is None else {constant.name: constant for constant in modes.constants}
     for category, rows in getattr(parameters, "confusion", {}).items():
         if category in constants:
             labels = tuple(next(iter(rows.values())))

@@ -21,55 +21,57 @@ DEEPEST = 20.0
 """Nats below the best hypothesis at which the worst one counts at most."""
 
 
-def levels_of(known: Mapping[str, Level], of: Together) -> tuple[dict[str, Level], dict[str, Level]]:
+def levels_of(
+    remembered: Mapping[str, Level], filtered: Together
+) -> tuple[dict[str, Level], dict[str, Level]]:
     """Target -> its level with the agents that are active: as measured, else that of this very frame.
 
     Then those after this frame, were all targets seen in it.
     """
-    before: dict[str, Level] = {}
-    after: dict[str, Level] = {}
-    for name in of:
-        at = of.row(name)
-        if at is None:
-            active, middle, best = of[name].plan.active, *_half_way(*_extremes(of[name]))
+    levels: dict[str, Level] = {}
+    updated: dict[str, Level] = {}
+    for name in filtered:
+        place = filtered.row(name)
+        if place is None:
+            active, middle, top = filtered[name].plan.active, *_half_way(*_extremes(filtered[name]))
         else:
-            active, (middle, best) = at[0].plan.active, _half_way(*at[0].extremes[at[1]])
-        level = known.get(name)
+            active, (middle, top) = place[0].plan.active, _half_way(*place[0].extremes[place[1]])
+        level = remembered.get(name)
         if level is None or level.active != active:
-            level = Level(active, middle, best, 0)
-        before[name], after[name] = level, level.then(active, middle, best)
-    return before, after
+            level = Level(active, middle, top, 0)
+        levels[name], updated[name] = level, level.then(active, middle, top)
+    return levels, updated
 
 
-def _extremes(one: Filtered) -> tuple[float, float]:
+def _extremes(target: Filtered) -> tuple[float, float]:
     """Log-likelihood of the best hypothesis and of the worst."""
-    log = log_seen(one.plan.factors, one.step.evidence)
+    log = log_seen(target.plan.factors, target.step.evidence)
     return float(log.max()), float(log.min())
 
 
-def _half_way(best: float, worst: float) -> tuple[float, float]:
+def _half_way(top: float, worst: float) -> tuple[float, float]:
     """Log-likelihood half way between the best and the worst hypothesis, and that of the best."""
-    return (best + max(worst - best, -DEEPEST) / 2, best) if math.isfinite(best) else (0.0, 0.0)
+    return (top + max(worst - top, -DEEPEST) / 2, top) if math.isfinite(top) else (0.0, 0.0)
 
 
 def levels_after(
-    before: Mapping[str, Level],
-    seen: Mapping[str, Level],
+    previous: Mapping[str, Level],
+    measured: Mapping[str, Level],
     metrics: Mapping[str, JoinMetrics],
-    of: Together,
+    filtered: Together,
 ) -> dict[str, Level]:
-    """The levels of all targets, those measured in this frame, in `seen`, that were seen."""
-    after = dict(before)
-    for name, level in seen.items():
+    """The levels of all targets, those measured in this frame, in `measured`, that were seen."""
+    levels = dict(previous)
+    for name, level in measured.items():
         hidden = metrics[name].hidden if name in metrics else 0.0
-        if hidden <= LEVEL_HIDDEN and not is_degenerate(of, name):
-            after[name] = level
-    return after
+        if hidden <= LEVEL_HIDDEN and not is_degenerate(filtered, name):
+            levels[name] = level
+    return levels
 
 
-def is_degenerate(of: Together, name: str) -> bool:
+def is_degenerate(filtered: Together, name: str) -> bool:
     """True if a target's own evidence could not be used; never of one in a group."""
-    return of.row(name) is None and of[name].step.degenerate is not None
+    return filtered.row(name) is None and filtered[name].step.degenerate is not None
 
 
 def report_hidden(
@@ -77,13 +79,17 @@ def report_hidden(
 ) -> JoinMemory:
     """Add to `events` which targets are hidden now, and which no longer are."""
     hidden = dict(memory.hidden)
-    for name, one in metrics.items():
-        if name not in hidden and one.hidden > HIDDEN:
-            hidden[name] = (one.behind, frame)
-            front = 1.0 - one.in_front[one.behind]
-            events.append(OcclusionChanged(frame, name, one.behind, True, one.hidden, HIDDEN, front, 0))
-        elif name in hidden and one.hidden <= SEEN:
-            other, since = hidden.pop(name)
-            front = 1.0 - one.in_front.get(other, 1.0)
-            events.append(OcclusionChanged(frame, name, other, False, one.hidden, SEEN, front, frame - since))
+    for name, target in metrics.items():
+        if name not in hidden and target.hidden > HIDDEN:
+            hidden[name] = (target.behind, frame)
+            front = 1.0 - target.in_front[target.behind]
+            events.append(OcclusionChanged(frame, name, target.behind, True, target.hidden, HIDDEN, front, 0))
+        elif name in hidden and target.hidden <= SEEN:
+            front_target, first_frame = hidden.pop(name)
+            front = 1.0 - target.in_front.get(front_target, 1.0)
+            events.append(
+                OcclusionChanged(
+                    frame, name, front_target, False, target.hidden, SEEN, front, frame - first_frame
+                )
+            )
     return replace(memory, hidden=hidden)

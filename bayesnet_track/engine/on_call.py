@@ -28,12 +28,12 @@ By = Callable[[Plan], Step[Posterior]]
 """Another step of the frame, by the agents of a plan."""
 
 
-def plan_without_calls(work: FrameContext, target: str, before: TargetState) -> Plan:
+def plan_without_calls(work: FrameContext, target: str, state: TargetState) -> Plan:
     """The plan of the agents that look at a frame first.
 
     `before.plan` itself when none is left out: nothing is to be weighed again then.
     """
-    plate, plan = work.plate_of(target).plate, before.plan
+    plate, plan = work.plate_of(target).plate, state.plan
     if on_call_rule(plate) is None:
         return plan
     by_hand = work.net.targets[target].by_hand
@@ -44,7 +44,7 @@ def plan_without_calls(work: FrameContext, target: str, before: TargetState) -> 
 def call_agents(
     work: FrameContext,
     target: str,
-    before: TargetState,
+    state: TargetState,
     observer: Observer,
     steps: tuple[Plan, Step[Posterior], By],
 ) -> tuple[Plan, Step[Posterior], OnCallOutcome | None]:
@@ -53,33 +53,43 @@ def call_agents(
     `steps` are the agents that look first, their step, and what makes another. Those on call run, too,
     where none of the first gave an answer. Then, or where they gave none themselves, nothing can be compared.
     """
-    plan, first, by = steps
+    plan, first, step_of = steps
     plate, net = work.plate_of(target).plate, work.net.targets[target]
     root = plate.inference(plate.root)
-    agents = tuple(one.agent for one in before.plan.observations if one.agent not in plan.active)
-    alone = estimate(root.estimate, first)
-    reading = _read(plate, before.memory, plan, first, alone)
+    agents = tuple(
+        observation.agent for observation in state.plan.observations if observation.agent not in plan.active
+    )
+    first_estimate = estimate(root.estimate, first)
+    reading = _read(plate, state.memory, plan, first, first_estimate)
     due = is_due(net, work.frame.index) or plan.active <= _without_answer(observer)
     if not due and (reading is None or not reading.above):
         return plan, first, OnCallOutcome(agents, ran=False)
-    _ask_around(before.plan, observer, agents, hypotheses_of(alone[None], first.posterior.fields))
-    both, out = by(before.plan), _without_answer(observer)
-    ran = tuple(agent for agent in agents if agent not in out)
-    if not ran or plan.active <= out:
-        return before.plan, both, None
-    share = overlap_of_two(alone[:4], estimate(root.estimate, both)[:4])
+    _ask_around(state.plan, observer, agents, hypotheses_of(first_estimate[None], first.posterior.fields))
+    combined, failed = step_of(state.plan), _without_answer(observer)
+    ran = tuple(agent for agent in agents if agent not in failed)
+    if not ran or plan.active <= failed:
+        return state.plan, combined, None
+    share = overlap_of_two(first_estimate[:4], estimate(root.estimate, combined)[:4])
     cause = None if due or reading is None else reading.cause(1, reading.value)
-    return before.plan, both, OnCallOutcome(ran, True, share, cause)
+    return state.plan, combined, OnCallOutcome(ran, True, share, cause)
 
 
 def _without_answer(observer: Observer) -> set[str]:
     return observer.faults.keys() | observer.missed.keys()
 
 
-def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], at: Hypotheses) -> None:
+def _ask_around(plan: Plan, observer: Observer, agents: Collection[str], hypotheses: Hypotheses) -> None:
     """Ask the agents that measure, once a frame, where the others found the target: they search around it."""
-    asked = [one for one in plan.observations if one.agent in agents and one.measures and one.at == plan.root]
-    ask_agents(Question({plan.root: at}, np.zeros(1), region_of_boxes(at.boxes)), observer, asked)
+    observations = [
+        observation
+        for observation in plan.observations
+        if observation.agent in agents and observation.measures and observation.at == plan.root
+    ]
+    ask_agents(
+        Question({plan.root: hypotheses}, np.zeros(1), region_of_boxes(hypotheses.boxes)),
+        observer,
+        observations,
+    )
 
 
 def _read(

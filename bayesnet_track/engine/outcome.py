@@ -84,25 +84,31 @@ class Outcome:
 
 def carry_out(work: FrameContext, state: State, results: Results, joint: JointBelief) -> Outcome:
     """The outcome of the targets' frames: decisions are carried out, of tables first."""
-    net, others = work.net, dict[str, TargetState]()
+    net, singles = work.net, dict[str, TargetState]()
     events: list[Event] = [*joint.events]
-    for one in results.gaussians:
-        net = apply_decisions(net, one.decided)
-        events += one.table_events
+    for rows_result in results.gaussians:
+        net = apply_decisions(net, rows_result.decided)
+        events += rows_result.table_events
     for target, (group, row) in results.singles.items():
         decisions = group.decisions(row)
         net = apply_decisions(net, decisions)
-        others[target] = recompile(work.engine, net, target, group.state(row))
+        singles[target] = recompile(work.engine, net, target, group.state(row))
         events += [*group.events(row), *decisions]
-    gaussians = [rows for one in results.gaussians if (rows := one.table(net.targets)) is not None]
-    particles = [table for one in results.groups if (table := one.table(net.targets)) is not None]
-    targets: Mapping[str, TargetState] = others
+    gaussians = [
+        rows for rows_result in results.gaussians if (rows := rows_result.table(net.targets)) is not None
+    ]
+    particles = [
+        table for group_result in results.groups if (table := group_result.table(net.targets)) is not None
+    ]
+    targets: Mapping[str, TargetState] = singles
     if gaussians or particles:
-        targets = Targets(gaussians, particles, others, results.others)
+        targets = Targets(gaussians, particles, singles, results.others)
     history = state.history
     if gaussians:
-        apart = {one: history.records[one] for one in results.others if one in history.records}
-        history = evolve(history, records=Records(gaussians, apart))
+        single_records = {
+            target: history.records[target] for target in results.others if target in history.records
+        }
+        history = evolve(history, records=Records(gaussians, single_records))
     return Outcome(
         evolve(state, net=net, targets=targets, previous=work.frame, joins=joint.memory, history=history),
         results.lines,
@@ -118,32 +124,32 @@ def with_joins(work: FrameContext, outcome: Outcome) -> Outcome:
     joins = work.engine.joins
     if not joins:
         return outcome
-    state, started = outcome.state, work.engine.clock()
+    state, start = outcome.state, work.engine.clock()
     reaches = reaches_of(*moments_of(state.targets, outcome.covariances))
     decisions, memory = decide_joins(work.frame.index, joins, state.net, reaches, state.joins)
-    work.charge("joins", started)
-    after = evolve(state, net=apply_decisions(state.net, decisions), joins=memory)
-    return evolve(outcome, state=after, events=(*outcome.events, *decisions), seconds=work.seconds)
+    work.charge("joins", start)
+    joined = evolve(state, net=apply_decisions(state.net, decisions), joins=memory)
+    return evolve(outcome, state=joined, events=(*outcome.events, *decisions), seconds=work.seconds)
 
 
 def moments_of(
-    targets: Mapping[str, TargetState], known: Mapping[str, Floats]
+    targets: Mapping[str, TargetState], covariances: Mapping[str, Floats]
 ) -> tuple[list[str], Floats, Floats]:
     """The targets, and of their beliefs the means (T, 4) and variances (T, 4) of the boxes.
 
-    `known` has covariances (D, D) that were found before.
+    `covariances` has covariances (D, D) that were found before.
     """
     names = list(targets)
     boxes, variances = np.empty((len(names), 4)), np.empty((len(names), 4))
-    at = dict(zip(names, range(len(names)), strict=True))
-    several = Targets.of(targets)
-    for table in several.particles:
-        rows = [at[target] for target in table.ids]
+    index = dict(zip(names, range(len(names)), strict=True))
+    split = Targets.of(targets)
+    for table in split.particles:
+        rows = [index[target] for target in table.ids]
         boxes[rows], variances[rows] = table.clouds.box_moments
-    for target, one in several.others.items():
-        spread = known.get(target)
-        boxes[at[target]] = one.belief.mean[:4]
-        variances[at[target]] = (one.belief.covariance if spread is None else spread).diagonal()[:4]
+    for target, state in split.others.items():
+        spread = covariances.get(target)
+        boxes[index[target]] = state.belief.mean[:4]
+        variances[index[target]] = (state.belief.covariance if spread is None else spread).diagonal()[:4]
     return names, boxes, variances
 
 
@@ -157,14 +163,16 @@ def with_load(work: FrameContext, outcome: Outcome, timing: Iterable[LateFrame |
         return evolve(outcome, state=evolve(state, load=load))
     decisions, load = balance_load(engine, state.net, state.targets, timing, state.load, work.frame.index)
     net = apply_decisions(state.net, decisions)
-    targets = {target: recompile(engine, net, target, one) for target, one in state.targets.items()}
-    after = evolve(state, net=net, targets=targets, load=load)
-    return evolve(outcome, state=after, events=(*outcome.events, *decisions))
+    targets = {
+        target: recompile(engine, net, target, target_state) for target, target_state in state.targets.items()
+    }
+    balanced = evolve(state, net=net, targets=targets, load=load)
+    return evolve(outcome, state=balanced, events=(*outcome.events, *decisions))
 
 
-def with_external_inputs(outcome: Outcome, given: ExternalInputs) -> Outcome:
+def with_external_inputs(outcome: Outcome, inputs: ExternalInputs) -> Outcome:
     """The outcome with what came from outside, its notices first."""
-    notices: tuple[Event, ...] = (*given.availability.events, *given.refused)
-    if not notices and not given.to_repeat:
+    notices: tuple[Event, ...] = (*inputs.availability.events, *inputs.refused)
+    if not notices and not inputs.to_repeat:
         return outcome
-    return evolve(outcome, events=(*notices, *outcome.events), external_inputs=given.to_repeat)
+    return evolve(outcome, events=(*notices, *outcome.events), external_inputs=inputs.to_repeat)

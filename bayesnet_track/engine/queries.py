@@ -74,7 +74,7 @@ def answer_queries(work: FrameContext, outcome: Outcome, filtered: Together | No
 
     `filtered` is the first half of the frame, from which hypotheses have their ancestors.
     """
-    started, state = work.engine.clock(), outcome.state
+    start, state = work.engine.clock(), outcome.state
     kinds = {kind for compiled in work.engine.queries for kind in compiled.query.kinds}
     targets = asked_targets(work.engine, state, kinds)
     frame = frame_names(work.cache.frames)
@@ -87,7 +87,7 @@ def answer_queries(work: FrameContext, outcome: Outcome, filtered: Together | No
     )
     events, high = _passed(work, answers, state.queries.high)
     state = evolve(state, queries=QueryMemory(high, trails, ended))
-    work.charge("queries", started)
+    work.charge("queries", start)
     return evolve(
         outcome,
         state=state,
@@ -122,14 +122,14 @@ def forecast_numbers(
     targets = AskedTargets({kind: groups_of([(target, belief)], engine.plates[kind].modes)}, {})
     frame = {"frame_width": float(size[0]), "frame_height": float(size[1]), "dt": 1.0, FRAME_S: math.nan}
     frame |= inputs
-    asked = [
+    queries = [
         compiled
         for compiled in engine.queries
         if compiled.query.kinds == (kind,)
         and compiled.query.kind in ("probability", "value")
         and FRAME_S not in compiled.fixed
     ]
-    return numbers_of([answer(compiled, targets, frame) for compiled in asked], target)
+    return numbers_of([answer(compiled, targets, frame) for compiled in queries], target)
 
 
 def asked_targets(engine: Engine, state: State, kinds: set[str]) -> AskedTargets:

@@ -31,25 +31,25 @@ def balance_load(
     return balance(frame, timing, running, load)
 
 
-def within(belief: Belief[Any], most: int | None) -> Belief[Any]:
+def within(belief: Belief[Any], limit: int | None) -> Belief[Any]:
     """The belief with at most so many hypotheses."""
-    if most is None or not isinstance(belief, ParticleFilter):
+    if limit is None or not isinstance(belief, ParticleFilter):
         return belief
     settings = belief.settings
     if isinstance(settings.size, int):
-        return ParticleFilter(settings.model_copy(update={"size": min(settings.size, most)}))
-    limits = {"min": min(settings.least, most), "max": min(settings.most, most)}
+        return ParticleFilter(settings.model_copy(update={"size": min(settings.size, limit)}))
+    limits = {"min": min(settings.least, limit), "max": min(settings.most, limit)}
     return ParticleFilter(settings.model_copy(update=limits))
 
 
 def _running(engine: Engine, net: Net, target: str, state: TargetState) -> Running:
     live = net.targets[target]
     compiled = engine.plates[live.template]
-    one = (compiled.plate, live, state.memory, compiled.costs_ms)
+    parts = (compiled.plate, live, state.memory, compiled.costs_ms)
     if not isinstance(compiled.belief, ParticleFilter):
-        return Running(*one)
-    least, most = _bounds(compiled.belief.settings)
-    return Running(*one, len(state.belief), least, most)
+        return Running(*parts)
+    low, high = _bounds(compiled.belief.settings)
+    return Running(*parts, len(state.belief), low, high)
 
 
 def _bounds(settings: Particles) -> tuple[int, int]:

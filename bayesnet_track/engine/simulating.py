@@ -41,7 +41,7 @@ class Simulated:
 
 @dataclass(frozen=True)
 class Simulation:
-    """What to draw.
+    """Settings of a simulation.
 
     Attributes:
         frames: T, frames after the first one.
@@ -58,7 +58,9 @@ class Simulation:
     inputs: Mapping[str, TimedInput] = field(default_factory=dict)
 
 
-def simulate(plate: CheckedTarget, constants: dict[str, float], box: Floats, chosen: Simulation) -> Simulated:
+def simulate(
+    plate: CheckedTarget, constants: dict[str, float], box: Floats, simulation: Simulation
+) -> Simulated:
     """Trajectories of a target that starts in the centre box (4,), as the tracker predicts without evidence.
 
     What depends on evidence is left out: `camera`, `inflate` and `relocalize`.
@@ -66,20 +68,22 @@ def simulate(plate: CheckedTarget, constants: dict[str, float], box: Floats, cho
     Raises:
         ValueError: frames or draws are less than 1.
     """
-    if chosen.frames < 1 or chosen.draws < 1:
-        raise ValueError(f"{chosen.frames} frames and {chosen.draws} draws: at least 1 of each is needed")
+    if simulation.frames < 1 or simulation.draws < 1:
+        raise ValueError(
+            f"{simulation.frames} frames and {simulation.draws} draws: at least 1 of each is needed"
+        )
     motion = prior_motion(plate, constants, np.asarray(box, dtype=np.float64)[2:4])
-    if chosen.size is not None:
-        motion = confined(motion, *chosen.size)
-    streams = Streams(chosen.seed)
+    if simulation.size is not None:
+        motion = confined(motion, *simulation.size)
+    streams = Streams(simulation.seed)
 
     def stream(frame: int) -> np.random.Generator:
         return streams.of("", plate.root, frame, "simulate")
 
-    states = [motion.start(np.asarray(box, dtype=np.float64), chosen.draws, stream(0))]
-    for frame in range(1, chosen.frames + 1):
-        known = values_at(chosen.inputs, (frame, frame - 1), (float(frame), frame - 1.0))
-        into = framed(motion, chosen.size, {"t": float(frame), **known})
+    states = [motion.start(np.asarray(box, dtype=np.float64), simulation.draws, stream(0))]
+    for frame in range(1, simulation.frames + 1):
+        numbers = values_at(simulation.inputs, (frame, frame - 1), (float(frame), frame - 1.0))
+        into = framed(motion, simulation.size, {"t": float(frame), **numbers})
         states.append(into.propagate(states[-1].copy(), 1.0, stream(frame)))
     modes = modes_of(plate.inference(plate.root))
     return Simulated(np.array(states), motion.fields, () if modes is None else modes.names)

@@ -56,14 +56,14 @@ def start(
     template: str,
     box: Floats,
     birth: str,
-    known: Mapping[str, Reference] = MappingProxyType({}),
+    remembered: Mapping[str, Reference] = MappingProxyType({}),
 ) -> Born:
     """A net for the target inside the centre box (4,) of the frame: references learnt, belief placed.
 
     The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
     that cannot learn its reference, or that needs colour where the frame has none, is out for the whole run;
     one that gives no answer for a reason outside of it is out for a while, and learns it then.
-    `known` are references that agents have already and need not learn. Its draws are keyed by `birth`.
+    `remembered` are references that agents have already and need not learn. Its draws are keyed by `birth`.
     """
     compiled, frame = work.engine.plates[template], work.frame
     active = tuple(agent for agent in compiled.plate.agents if compiled.plate.agent(agent).active)
@@ -73,9 +73,9 @@ def start(
         work.availability_of(target, "starting"),
     )
     # Those that look through one of several cameras meet the target when that sees it: `start_late`.
-    learning = [agent for agent in compiled.cues if agent not in known and agent not in compiled.looking]
+    learning = [agent for agent in compiled.cues if agent not in remembered and agent not in compiled.looking]
     learnt, faults = learn_first(lesson, learning)
-    references = {**learnt, **known}
+    references = {**learnt, **remembered}
     gray = [
         agent
         for agent in sorted(compiled.color_agents)
@@ -122,14 +122,14 @@ def _with_start_prior(
     metrics: FrameMetrics, compiled: CompiledPlate, belief: Posterior, box: Floats
 ) -> FrameMetrics:
     """The first frame's record, where and as wide as the belief starts."""
-    where = tuple(compiled.motion.start_moments(box)[0][:4].tolist())
+    mean_box = tuple(compiled.motion.start_moments(box)[0][:4].tolist())
     variances = np.diagonal(belief.covariance)[:4]
     counted = [BOX_FIELDS.index(name) for name in compiled.plate.inference(compiled.plate.root).ud_fields]
     region50, region90 = belief.regions((0.5, 0.9))
     return replace(
         metrics,
-        centre_box=where,
-        map=where,
+        centre_box=mean_box,
+        map=mean_box,
         sd=tuple(np.sqrt(variances).tolist()),
         ud_px2=float(variances[counted].sum()),
         region50=tuple(map(float, region50)),
@@ -150,7 +150,7 @@ def _say_undefined(compiled: CompiledPlate, target: str, box: Floats) -> None:
 
 def start_late(
     lesson: LearningInputs,
-    now: RuleInputs,
+    inputs: RuleInputs,
     references: Mapping[str, Reference],
     decisions: Iterable[Decision],
 ) -> tuple[dict[str, Reference], tuple[Quarantined, ...]]:
@@ -160,8 +160,12 @@ def start_late(
     others. Those that still have none are out again. So do those whose camera, one of several, sees the
     target for the first time.
     """
-    net, frame, target = now.net, now.frame, now.target
-    back = [one.node for one in decisions if isinstance(one, Readmitted) and one.node not in references]
+    net, frame, target = inputs.net, inputs.frame, inputs.target
+    back = [
+        decision.node
+        for decision in decisions
+        if isinstance(decision, Readmitted) and decision.node not in references
+    ]
     if net.status == "tracking":
         back += unmet(lesson, net, {*references, *back})
     if not back:
@@ -186,42 +190,44 @@ def unmet(lesson: LearningInputs, net: TargetNet, met: Container[str]) -> list[s
 
 def _later(frame: int, target: str, agent: str, why: str, net: TargetNet | None = None) -> Quarantined:
     """The agent gave no first reference: it is out for a while."""
-    until, times = next_try(frame, None if net is None else net.faults.get(agent))
-    return Quarantined(frame, target, agent, f"gave no first reference: {why}", until, times)
+    end, times = next_try(frame, None if net is None else net.faults.get(agent))
+    return Quarantined(frame, target, agent, f"gave no first reference: {why}", end, times)
 
 
-def restart(work: FrameContext, target: str, template: str, box: Floats, before: TargetState) -> TargetState:
+def restart(work: FrameContext, target: str, template: str, box: Floats, state: TargetState) -> TargetState:
     """The target as it was, its belief in the centre box (4,): agents that know its looks remember them."""
     compiled = work.engine.plates[template]
     lesson = _first_lesson(work, compiled, target, box, _parts(compiled, box, work.frame))
     kept_references = compiled.looks | compiled.looking.keys()
     learnt, _ = learn_first(lesson, [agent for agent in compiled.cues if agent not in kept_references])
     return replace(
-        before,
+        state,
         belief=with_kinds(
             _start_belief(work, compiled, work.births[target], box),
             compiled.modes,
-            kinds_of(before.belief, compiled.modes),
+            kinds_of(state.belief, compiled.modes),
         ),
-        references={**before.references, **learnt},
-        memory=before.memory.without(("activate", "deactivate", "lost", "found", "seen", "unsure")),
-        scored=replace(without_motion(before.scored), smooth={}),
+        references={**state.references, **learnt},
+        memory=state.memory.without(("activate", "deactivate", "lost", "found", "seen", "unsure")),
+        scored=replace(without_motion(state.scored), smooth={}),
         time=work.frame.time,
     )
 
 
 def _parts(compiled: CompiledPlate, box: Floats, frame: Frame) -> dict[str, Floats]:
     """Part -> its centre box (4,) in a target that fills `box`."""
-    return {part: inside_frame(at, frame) for part, at in nominal_boxes(compiled.plate, box).items()}
+    return {
+        part: inside_frame(part_box, frame) for part, part_box in nominal_boxes(compiled.plate, box).items()
+    }
 
 
 def _first_lesson(
     work: FrameContext, compiled: CompiledPlate, target: str, box: Floats, parts: Mapping[str, Floats]
 ) -> LearningInputs:
-    """What agents learn their first references from: planes of its own, on this target's region."""
-    own = {agent: parts[part] for agent, part in compiled.part_of.items()}
+    """Inputs of the agents' first references: planes of its own, on this target's region."""
+    part_boxes = {agent: parts[part] for agent, part in compiled.part_of.items()}
     cache = PlaneCache(work.cache.frames)
-    return LearningInputs(compiled.cues, cache, Hypotheses(box[None]), own, work.availability, target)
+    return LearningInputs(compiled.cues, cache, Hypotheses(box[None]), part_boxes, work.availability, target)
 
 
 def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: Floats) -> Posterior:
@@ -238,8 +244,8 @@ def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: 
         # The first camera does not see it: it starts as what it was before it was confirmed.
         anywhere: Posterior = compiled.belief.start(np.array([0.0, 0.0, 1.0, 1.0]), motion, stream)
         return anywhere
-    started = compiled.belief.start(placed.states[0], motion, stream)
-    return with_spread(started, placed, compiled.views.lasting, stream("placed"))
+    placed_belief = compiled.belief.start(placed.states[0], motion, stream)
+    return with_spread(placed_belief, placed, compiled.views.lasting, stream("placed"))
 
 
 def with_spread(
@@ -283,14 +289,14 @@ def _first_frame_metrics(
     parts: Mapping[str, Floats],
 ) -> FrameMetrics:
     """The frame in which the target starts: its box is known, and by it those of its parts (4,)."""
-    where = tuple(map(float, box))
-    point = (where[0], where[0], where[1], where[1])
+    centre_box = tuple(map(float, box))
+    point = (centre_box[0], centre_box[0], centre_box[1], centre_box[1])
     return FrameMetrics(
         frame=frame.index,
         time_s=frame.time_s,
         target=target,
-        centre_box=where,
-        map=where,
+        centre_box=centre_box,
+        map=centre_box,
         sd=(0.0, 0.0, 0.0, 0.0),
         ud_px2=0.0,
         ud_nodes={},
@@ -311,6 +317,7 @@ def _first_frame_metrics(
         region90=point,
         cloud=(),
         parts={
-            name: PartMetrics(tuple(map(float, at)), (0.0,) * 4, 0.0, "seen") for name, at in parts.items()
+            name: PartMetrics(tuple(map(float, part_box)), (0.0,) * 4, 0.0, "seen")
+            for name, part_box in parts.items()
         },
     )

@@ -92,10 +92,10 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
         check_sizes(graph, dict.fromkeys(graph.spec.cameras, (width, height)))
     for start in starts:
         if start.plate is not None and start.plate not in graph.targets:
-            close = nearest(start.plate, graph.targets)
+            suggestion = nearest(start.plate, graph.targets)
             raise StartError(
                 f"no plate {start.plate!r} in graph {graph.spec.name}; there are {', '.join(graph.targets)}"
-                + (f"; nearest: {close}" if close else "")
+                + (f"; nearest: {suggestion}" if suggestion else "")
             )
         check_box(start.box, width, height)
         _check_stands(graph, start)
@@ -109,10 +109,10 @@ def check_sizes(graph: CheckedGraph, sizes: Mapping[str, tuple[int, int]]) -> No
     """
     for camera, (width, height) in sizes.items():
         key = graph.spec.cameras[camera].key
-        of = graph.calibrations[key].camera.size
-        if of is not None and of != (width, height):
+        size = graph.calibrations[key].camera.size
+        if size is not None and size != (width, height):
             raise StartError(
-                f"calibration {key}: of {of[0]}x{of[1]} px, and the frames have {width}x{height} px; "
+                f"calibration {key}: of {size[0]}x{size[1]} px, and the frames have {width}x{height} px; "
                 "allowed: the size that the camera was calibrated in"
             )
 
@@ -136,9 +136,11 @@ def check_box(box: object, width: int, height: int) -> Floats:
             the frame, or does not touch it.
     """
     try:
-        held: NDArray[Any] = np.ma.asarray(box)
-        corner = np.asarray(np.ma.filled(held, np.nan) if np.ma.is_masked(held) else box, dtype=np.float64)
-        if held.dtype.kind not in "iuf" or _has_bool(box):
+        numbers: NDArray[Any] = np.ma.asarray(box)
+        corner = np.asarray(
+            np.ma.filled(numbers, np.nan) if np.ma.is_masked(numbers) else box, dtype=np.float64
+        )
+        if numbers.dtype.kind not in "iuf" or _has_bool(box):
             corner = np.empty(0)
     except (TypeError, ValueError, OverflowError):
         corner = np.empty(0)
@@ -168,16 +170,16 @@ def _has_bool(box: object) -> bool:
 def _say_outside(box: CornerBox, width: int, height: int) -> None:
     x, y, w, h = (float(value) for value in box)
     columns, rows = min(x + w, width) - max(x, 0.0), min(y + h, height) - max(y, 0.0)
-    outside = 1.0 - columns * rows / (w * h)
+    share = 1.0 - columns * rows / (w * h)
     fits_as_corners = 0 <= x < w <= width and 0 <= y < h <= height
-    if outside <= (MOSTLY_OUTSIDE if not fits_as_corners else SOME_OUTSIDE):
+    if share <= (MOSTLY_OUTSIDE if not fits_as_corners else SOME_OUTSIDE):
         return
-    other = ""
+    advice = ""
     if fits_as_corners:
-        other = f"; if its numbers are left, top, right, bottom, write {x:g},{y:g},{w - x:g},{h - y:g}"
+        advice = f"; if its numbers are left, top, right, bottom, write {x:g},{y:g},{w - x:g},{h - y:g}"
     notice(
-        f"start box {x:g},{y:g},{w:g},{h:g} (left, top, width, height): {100 * outside:.0f} % of it lies "
-        f"outside of the {width}x{height} frame{other}"
+        f"start box {x:g},{y:g},{w:g},{h:g} (left, top, width, height): {100 * share:.0f} % of it lies "
+        f"outside of the {width}x{height} frame{advice}"
     )
 
 
@@ -185,11 +187,11 @@ def say_blank(frame: Frame, starts: Sequence[Start]) -> None:
     """Say so where targets are to start in a frame of one value, which shows none of them."""
     if not starts:
         return
-    least, most = int(frame.image.min()), int(frame.image.max())
-    if least == most or (not frame.has_color and most - least <= NOISE) or most <= NOISE:
+    lowest, highest = int(frame.image.min()), int(frame.image.max())
+    if lowest == highest or (not frame.has_color and highest - lowest <= NOISE) or highest <= NOISE:
         notice(
             f"frame {frame.index}, in which the target starts, shows nothing: its values are "
-            f"{least if least == most else f'{least} to {most}'} everywhere; start in another one "
+            f"{lowest if lowest == highest else f'{lowest} to {highest}'} everywhere; start in another one "
             f"({setting('--start', 'N')})"
         )
 
@@ -200,7 +202,7 @@ def _say_constants_die_out(engine: Engine) -> None:
         names = static_fields(compiled.motion)
         if not names or not isinstance(compiled.belief, ParticleFilter):
             continue
-        if all(one.static_discount is None for one in formulas_in(compiled.motion)):
+        if all(formula.static_discount is None for formula in formulas_in(compiled.motion)):
             notice(
                 f"{plate}: {', '.join(names)} neither drifts nor has noise, so that resampling leaves a few "
                 "of its first values, surer than the evidence is; write static_discount: 0.98 beside its "
@@ -217,14 +219,14 @@ def start_targets(
 ) -> Outcome:
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
     _say_constants_die_out(engine)
-    given = route_inputs(engine, State().net, frame.index, external_inputs)
+    routed = route_inputs(engine, State().net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(engine.with_inputs(engine.on_clock(frame)), None))
-    work = FrameContext(engine, State().net, cache, {}, given.availability, given.by_hand)
+    work = FrameContext(engine, State().net, cache, {}, routed.availability, routed.by_hand)
     boxes = {
         str(number): (start.plate or next(iter(graph.targets)), centre_from_corner(start.box))
         for number, start in enumerate(starts, 1)
     }
-    return with_external_inputs(finish_first(work, start_all(work, State(), boxes)), given)
+    return with_external_inputs(finish_first(work, start_all(work, State(), boxes)), routed)
 
 
 def check_started(graph: CheckedGraph, first: Outcome) -> None:
@@ -238,15 +240,17 @@ def check_started(graph: CheckedGraph, first: Outcome) -> None:
     """
     if has_births(graph):
         return
-    out: dict[str, dict[str, str]] = {}
+    quarantined: dict[str, dict[str, str]] = {}
     for event in first.events:
         if isinstance(event, Quarantined):
-            out.setdefault(event.target, {})[event.node] = event.reason
+            quarantined.setdefault(event.target, {})[event.node] = event.reason
     for net in first.state.net.targets.values():
         if not net.quarantined.issuperset(graph.targets[net.template].agents):
             return
     reasons = (
-        f"target {target}: {agent}: {reason}" for target, why in out.items() for agent, reason in why.items()
+        f"target {target}: {agent}: {reason}"
+        for target, why in quarantined.items()
+        for agent, reason in why.items()
     )
     raise StartError(f"no agent can start, so that nothing can be tracked; {'; '.join(reasons)}")
 

@@ -24,7 +24,7 @@ from bayesnet_track.observation.planes import Frame
 
 @dataclass(frozen=True, eq=False)
 class TargetState:
-    """What is known of one live target.
+    """All that is known of one live target.
 
     Attributes:
         belief: the posterior of the last frame.
@@ -74,9 +74,9 @@ def plan_for(compiled: CompiledPlate, agents: frozenset[str]) -> Plan:
 def inside_frame(box: Floats, frame: Frame) -> Floats:
     """The box with its centre on the image, so that tracks and references stay meaningful."""
     x, y, w, h = box.tolist()  # plain numbers: a tenth of the time of arrays
-    across, down = float(frame.width), float(frame.height)
-    x, y = min(max(x, 0.0), across - 1.0), min(max(y, 0.0), down - 1.0)
-    return np.array([x, y, min(max(w, 1.0), 2.0 * across), min(max(h, 1.0), 2.0 * down)])
+    width, height = float(frame.width), float(frame.height)
+    x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
+    return np.array([x, y, min(max(w, 1.0), 2.0 * width), min(max(h, 1.0), 2.0 * height)])
 
 
 def inside_frame_all(boxes: Floats, frame: Frame) -> Floats:

@@ -201,33 +201,33 @@ def associate_targets(batch: Batch) -> Batch:
 def filter_tables(batch: Batch) -> Batch:
     """The rows of Gaussian beliefs are predicted and weighed by what they were given."""
     assert batch.associated is not None
-    given, tables = batch.associated.given, batch.targets.gaussians
-    done = tuple(filter_gaussians(batch.work, rows, given[rows.rule.plate]) for rows in tables)
-    return evolve(batch, gaussians=done)
+    detections, tables = batch.associated.given, batch.targets.gaussians
+    filtered = tuple(filter_gaussians(batch.work, rows, detections[rows.rule.plate]) for rows in tables)
+    return evolve(batch, gaussians=filtered)
 
 
 def filter_targets(batch: Batch) -> Batch:
     """Every target is predicted and weighed by its own agents."""
     if not batch.targets.order:
         return batch
-    work, before, alone = batch.work, batch.targets, dict[str, Filtered]()
-    filtered = Together(filter_rows(work, before), alone, before.order)
-    for ready, stepped in ready_each(work, {target: before[target] for target in filtered.missing()}):
-        alone[ready.target] = filter_ready(work, ready, stepped)
+    work, targets, singles = batch.work, batch.targets, dict[str, Filtered]()
+    filtered = Together(filter_rows(work, targets), singles, targets.order)
+    for ready, stepped in ready_each(work, {target: targets[target] for target in filtered.missing()}):
+        singles[ready.target] = filter_ready(work, ready, stepped)
     return evolve(batch, joint=JointBelief(filtered, batch.state.joins))
 
 
 def filter_carried(batch: Batch) -> Batch:
     """Every target is predicted, after the target that may carry it, and weighed by its own agents."""
-    work, before = batch.work, batch.targets
+    work, targets = batch.work, batch.targets
     rides = Rides.of(work, batch.state.joins)
-    near = {name: one for name, one in before.items() if name not in rides.carriers}
-    alone: dict[str, Filtered] = {}
-    filtered = Together(filter_rows(work, near), alone, [*before])
+    riderless = {name: state for name, state in targets.items() if name not in rides.carriers}
+    singles: dict[str, Filtered] = {}
+    filtered = Together(filter_rows(work, riderless), singles, [*targets])
     for target in rides.carriers_first(filtered.missing()):
         if target not in filtered:
-            ride = rides.ride(target, before[target], filtered)
-            alone[target] = filter_target(work, target, before[target], ride)
+            ride = rides.ride(target, targets[target], filtered)
+            singles[target] = filter_target(work, target, targets[target], ride)
     return evolve(batch, joint=JointBelief(filtered, batch.state.joins))
 
 
@@ -239,8 +239,8 @@ def join(batch: Batch) -> Batch:
 def set_clocks(batch: Batch) -> Batch:
     """The clocks of cameras are learnt from all targets, which are given them."""
     work, joint = batch.work, batch.joint
-    clocks, others, events = learn_clocks(work, batch.state.history, joint.filtered)
-    together = Together(joint.filtered.groups, others, joint.filtered.order)
+    clocks, singles, events = learn_clocks(work, batch.state.history, joint.filtered)
+    together = Together(joint.filtered.groups, singles, joint.filtered.order)
     state = evolve(batch.state, history=evolve(batch.state.history, clocks=clocks))
     associated = batch.associated
     if associated is not None:
@@ -262,7 +262,7 @@ def start_and_end(batch: Batch) -> Batch:
 
 
 def identify(batch: Batch) -> Batch:
-    """Who may be whom of targets that came close."""
+    """Identities of targets that came close."""
     if batch.associated is None:
         return batch
     return evolve(batch, outcome=track_identities(batch.work, batch.targets, batch.associated, batch.outcome))
@@ -312,18 +312,18 @@ def start_all(work: FrameContext, state: State, starts: Mapping[str, tuple[str, 
         metrics.append(born.metrics)
         events += born.decisions
     history = evolve(state.history, births=births)
-    after = evolve(state, net=net, targets=targets, previous=work.frame, history=history)
-    return Outcome(after, Lines(born=metrics), tuple(events))
+    begun = evolve(state, net=net, targets=targets, previous=work.frame, history=history)
+    return Outcome(begun, Lines(born=metrics), tuple(events))
 
 
-def first_look(engine: Engine, started: Outcome, frame: Frame) -> Outcome:
+def first_look(engine: Engine, outcome: Outcome, frame: Frame) -> Outcome:
     """The first frame's outcome: what the detectors find in it besides the targets that started there."""
-    state, frame = started.state, engine.on_clock(frame)
+    state, frame = outcome.state, engine.on_clock(frame)
     work = FrameContext(engine, state.net, PlaneCache(FramePair(frame, None)), state.history.births)
-    return finish_first(work, started)
+    return finish_first(work, outcome)
 
 
-def finish_first(work: FrameContext, started: Outcome) -> Outcome:
-    """As `first_look`, with who gives no answer in the frame."""
-    outcome = with_joins(work, manage_tracks(work, started))
+def finish_first(work: FrameContext, first: Outcome) -> Outcome:
+    """The outcome as of `first_look`, with who gives no answer in the frame."""
+    outcome = with_joins(work, manage_tracks(work, first))
     return answer_queries(work, outcome) if work.engine.queries else outcome

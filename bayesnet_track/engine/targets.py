@@ -30,7 +30,7 @@ _NOBODY = ParticleSet(np.zeros((1, 0)), (), LogWeights.uniform(1))
 
 @dataclass(frozen=True, eq=False)
 class ParticleTable:
-    """What is known of targets with the same plan and as many particles each.
+    """States of targets with the same plan and as many particles each.
 
     The first rows are columns of all that changes; of the others `base` has the rules' memory.
 
@@ -59,9 +59,11 @@ class ParticleTable:
     def of(cls, compiled: CompiledPlate, states: Mapping[str, TargetState]) -> ParticleTable:
         """The table of states with the same agents, time and number of particles."""
         base = tuple(states.values())
-        known = [agent for agent in compiled.cues if all(agent in one.references for one in base)]
-        references = {agent: ReferenceRows.of([one.references[agent] for one in base]) for agent in known}
-        clouds = Clouds.of([particles(one.belief) for one in base])
+        shared = [agent for agent in compiled.cues if all(agent in state.references for state in base)]
+        references = {
+            agent: ReferenceRows.of([state.references[agent] for state in base]) for agent in shared
+        }
+        clouds = Clouds.of([particles(state.belief) for state in base])
         return cls(compiled, tuple(states), base, base[0].time, clouds, references)
 
     @property
@@ -75,28 +77,28 @@ class ParticleTable:
         return {target: row for row, target in enumerate(self.ids)}
 
     def state(self, row: int) -> TargetState:
-        """What is known of one target."""
+        """The state of one target."""
         if self.memories is None or row >= len(self.nets):
             return self.base[row]
         if row not in self._made:
             self._made[row] = evolve(
                 self.base[row],
                 belief=self.clouds.belief(row),
-                references={agent: of[row] for agent, of in self.references.items()},
+                references={agent: rows[row] for agent, rows in self.references.items()},
                 memory=self.memories.take([row]),
                 time=self.time,
             )
         return self._made[row]
 
     def remembered(self, agent: str, rows: Ints | None = None) -> Sequence[Reference]:
-        """What an agent remembers of each, or of some."""
+        """References of an agent to each, or to some."""
         references = self.references[agent]
         return references if rows is None else ReferenceRows.some(references, rows)
 
     def columns(self) -> RuleMemory:
-        """What the rules remember of all."""
-        others = [one.memory for one in self.base[len(self.nets) :]]
-        return RuleMemory.join(others if self.memories is None else [self.memories, *others])
+        """The rules' memory of all."""
+        memories = [state.memory for state in self.base[len(self.nets) :]]
+        return RuleMemory.join(memories if self.memories is None else [self.memories, *memories])
 
     def then(
         self,
@@ -109,37 +111,38 @@ class ParticleTable:
         """The same targets after a frame, all as columns."""
         live = tuple(nets[target] for target in self.ids)
         base = tuple(
-            one if one.belief is _NOBODY else evolve(one, belief=_NOBODY, references={}) for one in self.base
+            state if state.belief is _NOBODY else evolve(state, belief=_NOBODY, references={})
+            for state in self.base
         )  # else a row of an old frame keeps the arrays of all
-        after = ParticleTable(self.compiled, self.ids, base, time, clouds, references, memories, live)
-        after.__dict__["index"] = self.index
-        return after
+        table = ParticleTable(self.compiled, self.ids, base, time, clouds, references, memories, live)
+        table.__dict__["index"] = self.index
+        return table
 
     def take(self, rows: Sequence[int]) -> ParticleTable:
         """Some of the targets, in their order."""
-        chosen, held = np.array(rows, dtype=np.intp), [row for row in rows if row < len(self.nets)]
+        picks, live_rows = np.array(rows, dtype=np.intp), [row for row in rows if row < len(self.nets)]
         return ParticleTable(
             self.compiled,
             tuple(self.ids[row] for row in rows),
             tuple(self.base[row] for row in rows),
             self.time,
             self.clouds.take(rows),
-            {agent: self.remembered(agent, chosen) for agent in self.references},
-            self.memories.take(held) if self.memories is not None and held else None,
-            tuple(self.nets[row] for row in held),
+            {agent: self.remembered(agent, picks) for agent in self.references},
+            self.memories.take(live_rows) if self.memories is not None and live_rows else None,
+            tuple(self.nets[row] for row in live_rows),
         )
 
-    def extended(self, others: ParticleTable) -> ParticleTable:
+    def extended(self, added: ParticleTable) -> ParticleTable:
         """These targets, then others that are no columns."""
         return replace(
             self,
-            ids=self.ids + others.ids,
-            base=self.base + others.base,
-            clouds=self.clouds.extended(others.clouds),
+            ids=self.ids + added.ids,
+            base=self.base + added.base,
+            clouds=self.clouds.extended(added.clouds),
             references={
-                agent: ReferenceRows.joined(own, others.references[agent])
-                for agent, own in self.references.items()
-                if agent in others.references
+                agent: ReferenceRows.joined(references, added.references[agent])
+                for agent, references in self.references.items()
+                if agent in added.references
             },
             _made={},
         )
@@ -179,7 +182,7 @@ class Targets(Mapping[str, TargetState]):
             return self.others[target]
         if target not in self._made:
             tables: tuple[Rows | ParticleTable, ...] = (*self.gaussians, *self.particles)
-            table = next((one for one in tables if target in one.index), None)
+            table = next((rows for rows in tables if target in rows.index), None)
             if table is None:
                 raise KeyError(target)
             self._made[target] = table.state(table.index[target])
@@ -187,7 +190,7 @@ class Targets(Mapping[str, TargetState]):
 
     def __contains__(self, target: object) -> bool:
         tables: tuple[Rows | ParticleTable, ...] = (*self.gaussians, *self.particles)
-        return target in self.others or any(target in one.index for one in tables)
+        return target in self.others or any(target in table.index for table in tables)
 
     def __iter__(self) -> Iterator[str]:
         for rows in self.gaussians:
@@ -207,16 +210,16 @@ class Targets(Mapping[str, TargetState]):
     def unchanged(self, nets: Mapping[str, TargetNet]) -> Targets:
         """The same, targets held by particles whose live nets have changed as objects."""
         tables: list[ParticleTable] = []
-        others = dict(self.others)
+        singles = dict(self.others)
         for table in self.particles:
-            known = [nets[target] is one for target, one in zip(table.ids, table.nets, strict=True)]
-            if not all(known):
-                changed_rows = [row for row, is_so in enumerate(known) if not is_so]
-                others.update((table.ids[row], table.state(row)) for row in changed_rows)
-                table = table.take([row for row, is_so in enumerate(known) if is_so])
+            is_same = [nets[target] is net for target, net in zip(table.ids, table.nets, strict=True)]
+            if not all(is_same):
+                changed_rows = [row for row, is_so in enumerate(is_same) if not is_so]
+                singles.update((table.ids[row], table.state(row)) for row in changed_rows)
+                table = table.take([row for row, is_so in enumerate(is_same) if is_so])
             if table.ids:
                 tables.append(table)
-        return Targets(self.gaussians, tables, others, self.order)
+        return Targets(self.gaussians, tables, singles, self.order)
 
 
 class Records(Mapping[str, TrackRecord]):
@@ -235,7 +238,7 @@ class Records(Mapping[str, TrackRecord]):
         if target in self.others:
             return self.others[target]
         if target not in self._made:
-            rows = next((one for one in self.gaussians if target in one.index), None)
+            rows = next((table for table in self.gaussians if target in table.index), None)
             if rows is None or rows.columns.since[rows.index[target]] < 0:
                 raise KeyError(target)
             self._made[target] = rows.record(rows.index[target])
@@ -243,12 +246,14 @@ class Records(Mapping[str, TrackRecord]):
 
     def __iter__(self) -> Iterator[str]:
         for rows in self.gaussians:
-            known = (rows.columns.since >= 0).tolist()
-            yield from (target for target, is_known in zip(rows.ids, known, strict=True) if is_known)
+            is_counted = (rows.columns.since >= 0).tolist()
+            yield from (target for target, is_known in zip(rows.ids, is_counted, strict=True) if is_known)
         yield from self.others
 
     def __len__(self) -> int:
-        return len(self.others) + sum(int(np.count_nonzero(one.columns.since >= 0)) for one in self.gaussians)
+        return len(self.others) + sum(
+            int(np.count_nonzero(table.columns.since >= 0)) for table in self.gaussians
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return dict, (dict(self),)

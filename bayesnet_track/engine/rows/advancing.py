@@ -169,10 +169,10 @@ class FilteredGaussians:
 
     def heard(self, row: int) -> AgentMessages:
         """Its own detection, unless several targets share it."""
-        rule, now = self.before.rule, self.columns
-        if rule.shares_detections or now.given[row] != GIVEN:
+        rule, columns = self.before.rule, self.columns
+        if rule.shares_detections or columns.given[row] != GIVEN:
             return AgentMessages()
-        box = now.own[row, :4]
+        box = columns.own[row, :4]
         noise = np.diag(rule.association.variances(box) * rule.temperature)
         return AgentMessages(measured={rule.agent: Measurement(BOX_FIELDS, box, noise)})
 
@@ -216,8 +216,8 @@ class FilteredGaussians:
 
     def summaries(self, work: FrameContext, hypotheses: bool) -> dict[str, Summary]:
         """Target -> its belief in a few numbers; without `hypotheses` none are drawn."""
-        now, rule, centre = self.columns, self.before.rule, self.columns.mean[:, :2]
-        variances = np.diagonal(now.covariance, axis1=1, axis2=2)
+        beliefs, rule, centre = self.columns, self.before.rule, self.columns.mean[:, :2]
+        variances = np.diagonal(beliefs.covariance, axis1=1, axis2=2)
         sds = np.sqrt(np.maximum(variances[:, :2], 0.0))
         regions = [
             np.stack([centre - reach * sds, centre + reach * sds], axis=2).reshape(-1, 4).tolist()
@@ -226,48 +226,48 @@ class FilteredGaussians:
         clouds = self._clouds(work) if hypotheses else [EncodedCloud()] * len(self.ids)
         log_evidence, nats, ess, size, *_ = self.numbers.T.tolist()
         columns = zip(variances, ess, nats, zip(*regions, strict=True), clouds, strict=True)
-        more = zip(log_evidence, size, self._p_values(), strict=True)
+        numbers = zip(log_evidence, size, self._p_values(), strict=True)
         return {
             target: Summary(
                 spread,
-                of,
+                row_ess,
                 surprise,
                 [*map(tuple, two)],
                 cloud,
-                now.mean[row, :4],
+                beliefs.mean[row, :4],
                 log,
                 int(count),
-                GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(count)),
+                GaussianPosterior(beliefs.mean[row], beliefs.covariance[row], rule.motion.fields, int(count)),
                 p_values={} if value is None else {rule.agent: value},
             )
-            for row, (target, (spread, of, surprise, two, cloud), (log, count, value)) in enumerate(
-                zip(self.ids, columns, more, strict=True)
+            for row, (target, (spread, row_ess, surprise, two, cloud), (log, count, value)) in enumerate(
+                zip(self.ids, columns, numbers, strict=True)
             )
         }
 
     def _clouds(self, work: FrameContext) -> list[EncodedCloud]:
         """Hypotheses drawn from the belief of each."""
-        now, streams = self.columns, work.engine.streams
+        columns, streams = self.columns, work.engine.streams
         draws = streams.of_each(work.births_of(self.ids), self.before.rule.root, work.moment, "cloud")
         clouds = np.empty((len(self.ids), CLOUD_SIZE, 4))
-        for row, (lower, rng) in enumerate(zip(roots(now.covariance[:, :4, :4]), draws, strict=True)):
-            clouds[row] = draw_boxes(now.mean[row], lower, CLOUD_SIZE, rng)
+        for row, (lower, rng) in enumerate(zip(roots(columns.covariance[:, :4, :4]), draws, strict=True)):
+            clouds[row] = draw_boxes(columns.mean[row], lower, CLOUD_SIZE, rng)
         return encode_clouds(np.rint(clouds).astype(np.int64))
 
     def _p_values(self) -> list[float | None]:
         """P-value of each one's detection under its prediction; None of one that several targets share."""
-        rule, now = self.before.rule, self.columns
-        found: list[float | None] = [None] * len(self.ids)
-        own = np.flatnonzero((now.given == GIVEN) & (not rule.shares_detections))
-        boxes = now.own[own, :4]
+        rule, columns = self.before.rule, self.columns
+        p_values: list[float | None] = [None] * len(self.ids)
+        unshared = np.flatnonzero((columns.given == GIVEN) & (not rule.shares_detections))
+        boxes = columns.own[unshared, :4]
         noise = (rule.association.variances(boxes) * rule.temperature)[:, :, None] * np.eye(4)
-        values = p_after(boxes, noise, now.mean[own, :4], now.covariance[own, :4, :4])
-        d2 = self.numbers[own, D2]
+        values = p_after(boxes, noise, columns.mean[unshared, :4], columns.covariance[unshared, :4, :4])
+        d2 = self.numbers[unshared, D2]
         if d2.any():  # what was not used left no trace in the belief
             values[d2 > 0.0] = p_beyond(d2[d2 > 0.0], len(BOX_FIELDS))
-        for row, value in zip(own.tolist(), values.tolist(), strict=True):
-            found[row] = value
-        return found
+        for row, value in zip(unshared.tolist(), values.tolist(), strict=True):
+            p_values[row] = value
+        return p_values
 
     def line_columns(
         self,
@@ -278,17 +278,17 @@ class FilteredGaussians:
         rates: Sequence[float],
     ) -> dict[str, NDArray[Any]]:
         """The columns of `journal.frame_columns`, without hypotheses."""
-        now, rule = self.columns, self.before.rule
+        beliefs, rule = self.columns, self.before.rule
         log_evidence, nats, ess, size, agent_ud, ud, fit, area, strength, _ = self.numbers.T
-        own, nothing = f"/{rule.agent}", np.zeros(len(self.ids))
-        variances = np.diagonal(now.covariance, axis1=1, axis2=2)[:, :4]
+        suffix, nothing = f"/{rule.agent}", np.zeros(len(self.ids))
+        variances = np.diagonal(beliefs.covariance, axis1=1, axis2=2)[:, :4]
         p_values = [ABSENT if value is None else value for value in self._p_values()]
         columns: dict[str, NDArray[Any]] = {
             "frame": np.array(work.frame.index, dtype="<i8"),
             "time_s": np.array(work.frame.time_s, dtype="<f8"),
             "target": texts(self.ids),
             "box": np.ascontiguousarray(boxes.T),
-            "map": np.ascontiguousarray(now.mean[:, :4].T),
+            "map": np.ascontiguousarray(beliefs.mean[:, :4].T),
             "sd": np.ascontiguousarray(np.sqrt(np.maximum(variances, 0.0)).T),
             "ud_px2": ud,
             f"ud_nodes/{rule.root}": ud,
@@ -301,61 +301,63 @@ class FilteredGaussians:
             "learn_rate": np.array(rates),
             "particles": size.astype("<i4"),
             "active": np.full(len(nothing), rule.agent.encode()),
-            "silent": np.where(now.given == GIVEN, b"", rule.agent.encode()),
-            "kl" + own: nothing,
-            "contribution" + own: nats,
-            "agent_ud_px2" + own: agent_ud,
-            "strength" + own: strength,
-            "p_values" + own: np.array(p_values),
+            "silent": np.where(beliefs.given == GIVEN, b"", rule.agent.encode()),
+            "kl" + suffix: nothing,
+            "contribution" + suffix: nats,
+            "agent_ud_px2" + suffix: agent_ud,
+            "strength" + suffix: strength,
+            "p_values" + suffix: np.array(p_values),
         }
         if rule.crowd is not None:
-            columns["existence"] = now.existence
-        sds = np.sqrt(np.maximum(np.diagonal(now.covariance, axis1=1, axis2=2), 0.0))
+            columns["existence"] = beliefs.existence
+        sds = np.sqrt(np.maximum(np.diagonal(beliefs.covariance, axis1=1, axis2=2), 0.0))
         for place, name in enumerate(rule.motion.fields[4:], 4):
-            columns[f"state/{name}"], columns[f"state/{name}_sd"] = now.mean[:, place], sds[:, place]
+            columns[f"state/{name}"], columns[f"state/{name}_sd"] = beliefs.mean[:, place], sds[:, place]
         return columns
 
 
-def filter_gaussians(work: FrameContext, rows: Rows, given: Given) -> FilteredGaussians:
-    """The rows of a table, updated by what each is given: the arrays of `given` are changed in place."""
+def filter_gaussians(work: FrameContext, rows: Rows, detections: Given) -> FilteredGaussians:
+    """The rows of a table, updated by what each is given: the arrays of `detections` are changed in place."""
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.pair_kernels import measure_and_mix_rows
     from bayesnet_track.numerics.kernels.row_kernels import update_rows
 
-    rule, started, frame = rows.rule, work.engine.clock(), work.frame
-    moments, marginal = (given.mean, given.covariance), given.marginal
+    rule, start, frame = rows.rule, work.engine.clock(), work.frame
+    moments, marginal = (detections.mean, detections.covariance), detections.marginal
     image = image_of(rule, frame.width, frame.height)
-    drawn = _draw(work, rows, moments)
+    draws = _draw(work, rows, moments)
     if marginal is None:
-        boxes = np.ascontiguousarray(given.own[:, :4])
+        boxes = np.ascontiguousarray(detections.own[:, :4])
         variances = rule.association.variances(boxes) * rule.temperature
-        variances[~given.is_given] = 1.0
+        variances[~detections.is_given] = 1.0
         limits = rule.floor, rule.farthest, ALONE
-        numbers = update_rows(moments, boxes, given.is_given, variances, drawn, limits, image, rule.counts)
+        numbers = update_rows(
+            moments, boxes, detections.is_given, variances, draws, limits, image, rule.counts
+        )
     else:
         starts = marginal.starts[: len(rows.ids) + 1]
-        boxes = np.ascontiguousarray(given.boxes[marginal.columns[: starts[-1]]])
+        boxes = np.ascontiguousarray(detections.boxes[marginal.columns[: starts[-1]]])
         numbers = measure_and_mix_rows(
             moments,
             starts,
             boxes,
             rule.association.variances(boxes) * rule.temperature,
             (marginal.weights[: starts[-1]], marginal.missed[: len(rows.ids)]),
-            drawn,
+            draws,
             (rule.floor, ALONE),
             image,
             rule.counts,
         )
     columns = rows.columns.changed(
-        mean=given.mean,
-        covariance=given.covariance,
+        mean=detections.mean,
+        covariance=detections.covariance,
         size=numbers[:, HYPOTHESES].astype(np.int64),
-        own=given.own,
-        given=np.where(given.is_given, GIVEN, GIVEN_NONE if given.looked else NEVER_ASKED),
-        existence=given.existence,
-        observed=given.observed,
+        own=detections.own,
+        given=np.where(detections.is_given, GIVEN, GIVEN_NONE if detections.looked else NEVER_ASKED),
+        existence=detections.existence,
+        observed=detections.observed,
     )
-    work.charge("belief", started)
+    work.charge("belief", start)
     return FilteredGaussians(rows, columns, numbers)
 
 
@@ -367,5 +369,5 @@ def _draw(work: FrameContext, rows: Rows, moments: tuple[Floats, Floats]) -> Flo
         return np.empty((count, 0, 4))
     motion = confined(rule.motion, work.frame.width, work.frame.height)
     draws = work.engine.streams.of_each(work.births_of(rows.ids), rule.root, work.moment, "samples")
-    asked = stand_for_each([*zip(*moments, strict=True)], motion, settings, draws)
-    return np.array([one.states[:, :4] for one in asked]).reshape(count, -1, 4)
+    supports = stand_for_each([*zip(*moments, strict=True)], motion, settings, draws)
+    return np.array([support.states[:, :4] for support in supports]).reshape(count, -1, 4)

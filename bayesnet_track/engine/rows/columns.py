@@ -28,7 +28,7 @@ NEVER_ASKED, GIVEN_NONE, GIVEN = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """What is known of T targets between frames: what `TargetState` and `TrackRecord` hold of one.
+    """States of T targets between frames: what `TargetState` and `TrackRecord` hold of one.
 
     Attributes:
         mean: (T, D) of the belief.
@@ -68,20 +68,20 @@ class Columns:
 
     def changed(self, **columns: NDArray[Any] | RuleMemory) -> Self:
         """With some columns in place of its own; `dataclasses.replace` takes ten times as long."""
-        after = object.__new__(type(self))
-        after.__dict__.update(self.__dict__)
-        after.__dict__.update(columns)
-        return after
+        copy = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__)
+        copy.__dict__.update(columns)
+        return copy
 
     def take(self, rows: NDArray[Any]) -> Self:
         """Some rows."""
         arrays = {name: getattr(self, name)[rows] for name in _ARRAYS}
         return type(self)(**arrays, memory=self.memory.take(rows))
 
-    def extend(self, others: Self) -> Self:
+    def extend(self, added: Self) -> Self:
         """These rows, then others."""
-        arrays = {name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in _ARRAYS}
-        return type(self)(**arrays, memory=RuleMemory.join([self.memory, others.memory]))
+        arrays = {name: np.concatenate([getattr(self, name), getattr(added, name)]) for name in _ARRAYS}
+        return type(self)(**arrays, memory=RuleMemory.join([self.memory, added.memory]))
 
 
 _ARRAYS = tuple(one.name for one in fields(Columns) if one.name != "memory")
@@ -114,78 +114,94 @@ class Rows:
 
     def changed(self, **fields: Any) -> Rows:
         """The same targets, later."""
-        after = object.__new__(Rows)
-        after.__dict__.update(self.__dict__)  # with the index
-        after.__dict__.update(fields)
-        return after
+        copy = object.__new__(Rows)
+        copy.__dict__.update(self.__dict__)  # with the index
+        copy.__dict__.update(fields)
+        return copy
 
     def take(self, keep: Bools) -> Rows:
         """The targets for which (T,) `keep` is true."""
         rows = np.flatnonzero(keep)
-        references = {agent: ReferenceRows.some(of, rows) for agent, of in self.references.items()}
+        references = {
+            agent: ReferenceRows.some(reference, rows) for agent, reference in self.references.items()
+        }
         ids = tuple(compress(self.ids, keep.tolist()))
         return evolve(self, ids=ids, columns=self.columns.take(keep), references=references)
 
-    def extended(self, others: Rows) -> Rows:
+    def extended(self, added: Rows) -> Rows:
         """These targets, then others of the same time."""
-        columns, more = self.columns.extend(others.columns), others.references
-        references = {agent: ReferenceRows.joined(of, more[agent]) for agent, of in self.references.items()}
-        return Rows(self.rule, (*self.ids, *others.ids), columns, references, self.time)
+        columns, extra = self.columns.extend(added.columns), added.references
+        references = {
+            agent: ReferenceRows.joined(reference, extra[agent])
+            for agent, reference in self.references.items()
+        }
+        return Rows(self.rule, (*self.ids, *added.ids), columns, references, self.time)
 
     def counted(self, frame: int, time: float, looked: bool) -> Rows:
         """The rows with one more frame counted of each; in one that nobody `looked` at none is unseen."""
         # Imported here: a graph is validated without compiling anything.
         from bayesnet_track.numerics.kernels.judging_kernels import count_frames
 
-        now = self.columns
-        counted = (now.since, now.lost_frames, now.unseen_frames)
-        lost_count = np.ascontiguousarray(now.memory.counts[:, 0])  # one compiled version only
-        since, lost, unseen, known = count_frames(counted, now.is_lost, lost_count, frame)
-        columns = now.changed(
-            since=since,
-            known_mean=np.where(known[:, None], now.mean, now.known_mean),
-            known_covariance=np.where(known[:, None, None], now.covariance, now.known_covariance),
-            known_time=np.where(known, time, now.known_time),
+        current = self.columns
+        counted = (current.since, current.lost_frames, current.unseen_frames)
+        lost_count = np.ascontiguousarray(current.memory.counts[:, 0])  # one compiled version only
+        first_frames, lost, unseen, is_counted = count_frames(counted, current.is_lost, lost_count, frame)
+        columns = current.changed(
+            since=first_frames,
+            known_mean=np.where(is_counted[:, None], current.mean, current.known_mean),
+            known_covariance=np.where(
+                is_counted[:, None, None], current.covariance, current.known_covariance
+            ),
+            known_time=np.where(is_counted, time, current.known_time),
             lost_frames=lost,
-            unseen_frames=unseen if looked else np.where(now.since < 0, unseen - 1, now.unseen_frames),
+            unseen_frames=unseen
+            if looked
+            else np.where(current.since < 0, unseen - 1, current.unseen_frames),
         )
         return self.changed(columns=columns)
 
     def state(self, row: int) -> TargetState:
-        """What is known of one target."""
-        now, rule = self.columns, self.rule
-        belief = GaussianPosterior(now.mean[row], now.covariance[row], rule.motion.fields, int(now.size[row]))
-        existence = None if rule.crowd is None else float(now.existence[row])
+        """The state of one target."""
+        columns, rule = self.columns, self.rule
+        belief = GaussianPosterior(
+            columns.mean[row], columns.covariance[row], rule.motion.fields, int(columns.size[row])
+        )
+        existence = None if rule.crowd is None else float(columns.existence[row])
         return TargetState(
             belief,
             self.remembered(row),
-            now.memory.take([row]),
+            columns.memory.take([row]),
             rule.plan,
             self.time,
             existence=existence,
-            started=int(now.started[row]),
+            started=int(columns.started[row]),
         )
 
     def remembered(self, row: int) -> Mapping[str, Reference]:
-        """What the agents remember of one target."""
-        now = self.columns
-        own: dict[str, Floats] = {}
-        if now.given[row] != NEVER_ASKED:
-            own[OWN_DETECTION] = now.own[row : row + 1] if now.given[row] == GIVEN else np.empty((0, 5))
-        if now.observed.shape[1]:
-            own[OBSERVED] = now.observed[row]
-        return {self.rule.agent: own, **{agent: of[row] for agent, of in self.references.items()}}
+        """The agents' references to one target."""
+        columns = self.columns
+        detections: dict[str, Floats] = {}
+        if columns.given[row] != NEVER_ASKED:
+            detections[OWN_DETECTION] = (
+                columns.own[row : row + 1] if columns.given[row] == GIVEN else np.empty((0, 5))
+            )
+        if columns.observed.shape[1]:
+            detections[OBSERVED] = columns.observed[row]
+        return {
+            self.rule.agent: detections,
+            **{agent: reference[row] for agent, reference in self.references.items()},
+        }
 
     def record(self, row: int) -> TrackRecord:
-        """What is counted of one target."""
-        now = self.columns
+        """The counts of one target."""
+        columns = self.columns
         return TrackRecord(
-            int(now.since[row]),
-            now.known_mean[row],
-            now.known_covariance[row],
-            float(now.known_time[row]),
-            int(now.lost_frames[row]),
-            int(now.unseen_frames[row]),
+            int(columns.since[row]),
+            columns.known_mean[row],
+            columns.known_covariance[row],
+            float(columns.known_time[row]),
+            int(columns.lost_frames[row]),
+            int(columns.unseen_frames[row]),
         )
 
 
@@ -197,32 +213,41 @@ def make_rows(
     time: float,
 ) -> Rows:
     """The table of targets that fit (`fitting.states_fit`)."""
-    several = list(states.values())
+    targets = list(states.values())
     width = len(rule.motion.fields)
-    own = [state.references.get(rule.agent, {}).get(OWN_DETECTION) for state in several]
+    detections = [state.references.get(rule.agent, {}).get(OWN_DETECTION) for state in targets]
     unknown = TrackRecord(-1, np.zeros(width), np.zeros((width, width)), time)
-    known = [records.get(target, unknown) for target in states]
-    given = [NEVER_ASKED if one is None else GIVEN if len(one) else GIVEN_NONE for one in own]
+    counted = [records.get(target, unknown) for target in states]
+    answers = [
+        NEVER_ASKED if detection is None else GIVEN if len(detection) else GIVEN_NONE
+        for detection in detections
+    ]
     columns = Columns(
-        mean=_stack([state.belief.mean for state in several], width),
-        covariance=_stack([state.belief.covariance for state in several], width, width),
-        size=np.array([len(state.belief) for state in several], dtype=np.int64),
-        own=_stack([one[0, :5] if one is not None and len(one) else np.zeros(5) for one in own], 5),
-        observed=_stack([observed_of(rule, state) for state in several], observed_width(rule)),
-        given=np.array(given, dtype=np.int64),
-        memory=RuleMemory.join([state.memory for state in several]),
+        mean=_stack([state.belief.mean for state in targets], width),
+        covariance=_stack([state.belief.covariance for state in targets], width, width),
+        size=np.array([len(state.belief) for state in targets], dtype=np.int64),
+        own=_stack(
+            [
+                detection[0, :5] if detection is not None and len(detection) else np.zeros(5)
+                for detection in detections
+            ],
+            5,
+        ),
+        observed=_stack([observed_of(rule, state) for state in targets], observed_width(rule)),
+        given=np.array(answers, dtype=np.int64),
+        memory=RuleMemory.join([state.memory for state in targets]),
         is_lost=np.array(lost, dtype=np.bool_),
-        since=np.array([one.since for one in known], dtype=np.int64),
-        known_mean=_stack([one.mean for one in known], width),
-        known_covariance=_stack([one.covariance for one in known], width, width),
-        known_time=np.array([one.time for one in known], dtype=np.float64),
-        lost_frames=np.array([one.lost_frames for one in known], dtype=np.int64),
-        unseen_frames=np.array([one.unseen_frames for one in known], dtype=np.int64),
-        existence=np.array([1.0 if one.existence is None else one.existence for one in several]),
-        started=np.array([one.started for one in several], dtype=np.int64),
+        since=np.array([record.since for record in counted], dtype=np.int64),
+        known_mean=_stack([record.mean for record in counted], width),
+        known_covariance=_stack([record.covariance for record in counted], width, width),
+        known_time=np.array([record.time for record in counted], dtype=np.float64),
+        lost_frames=np.array([record.lost_frames for record in counted], dtype=np.int64),
+        unseen_frames=np.array([record.unseen_frames for record in counted], dtype=np.int64),
+        existence=np.array([1.0 if state.existence is None else state.existence for state in targets]),
+        started=np.array([state.started for state in targets], dtype=np.int64),
     )
     references = {
-        agent: ReferenceRows.of([one.references[agent] for one in several]) for agent in rule.others
+        agent: ReferenceRows.of([state.references[agent] for state in targets]) for agent in rule.others
     }
     return Rows(rule, tuple(states), columns, references, time)
 

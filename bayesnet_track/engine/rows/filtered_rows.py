@@ -149,8 +149,8 @@ class FilteredRows(Mapping[str, Filtered]):
         """(T,) the MAP hypotheses; -1 where a step looks further by itself."""
         if not isinstance(self.motion, Confined) or not isinstance(self.motion.motion, KinematicMotion):
             return np.full(len(self.ids), -1)
-        known = Before(self.before.clouds.states, self.before.clouds.log)
-        return find_places(self.motion, self.dt, known, self.said, self.clouds.states)
+        earlier = Before(self.before.clouds.states, self.before.clouds.log)
+        return find_places(self.motion, self.dt, earlier, self.said, self.clouds.states)
 
     @cached_property
     def best(self) -> Floats:
@@ -178,28 +178,32 @@ class FilteredRows(Mapping[str, Filtered]):
         if is_flat(plate):
             return measure_rows(plate, self.plan, self.arrays, areas_px2)
         pairs = zip(self.ids, areas_px2.tolist(), strict=True)
-        return GroupMeasures.of_each([measure(plate, self.plan, self[one].step, area) for one, area in pairs])
+        return GroupMeasures.of_each(
+            [measure(plate, self.plan, self[target].step, area) for target, area in pairs]
+        )
 
     @property
     def arrays(self) -> StepArrays:
         """Inputs of measures."""
         log, columns = self.clouds.log, columns_of(self.before.compiled.plate, self.plan.root)
-        chosen, prior = select(columns), np.tile(self.prior.log, (len(log), 1))
-        uds = uncertainties(self.clouds.states[:, :, chosen], self.clouds.weights, self.best[:, chosen])
-        agents = [one.agent for one in self.plan.observations]
+        picks, prior = select(columns), np.tile(self.prior.log, (len(log), 1))
+        uds = uncertainties(self.clouds.states[:, :, picks], self.clouds.weights, self.best[:, picks])
+        agents = [observation.agent for observation in self.plan.observations]
         return StepArrays(agents, (), self.messages, prior, log, self.boxes, uds)
 
     @property
     def existence(self) -> Floats | None:
         """(T,) probabilities that they exist; None where the plate has no `existence`."""
-        known = [one.existence for one in self.before.base]
-        return None if known[0] is None else np.array(known)
+        values = [state.existence for state in self.before.base]
+        return None if values[0] is None else np.array(values)
 
     @property
     def moments(self) -> tuple[Floats, Floats]:
         """Means (T, D) and covariances (T, D, D) of the beliefs."""
         beliefs = [self.of(row).step.posterior for row in range(len(self.ids))]
-        return np.array([one.mean for one in beliefs]), np.array([one.covariance for one in beliefs])
+        return np.array([belief.mean for belief in beliefs]), np.array(
+            [belief.covariance for belief in beliefs]
+        )
 
     @property
     def is_hidden(self) -> None:
@@ -220,7 +224,7 @@ class FilteredRows(Mapping[str, Filtered]):
 
     def heard(self, row: int) -> AgentMessages:
         """Answers of the agents of one target."""
-        return AgentMessages({agent: said[row] for agent, said in self.messages.items()})
+        return AgentMessages({agent: answers[row] for agent, answers in self.messages.items()})
 
     def apart(self, decided: Collection[int]) -> Mapping[int, str]:
         """Row -> target, of those that are an object each after the frame, where some were `decided` on."""
@@ -236,12 +240,12 @@ class FilteredRows(Mapping[str, Filtered]):
         nets: Mapping[str, TargetNet],
     ) -> ParticleTable | None:
         """The table of the targets about which nothing was decided; None without any."""
-        apart = self.apart(decided)
-        kept = [row for row in range(len(self)) if row not in apart]
-        if not kept:
+        decided_rows = self.apart(decided)
+        rows = [row for row in range(len(self)) if row not in decided_rows]
+        if not rows:
             return None
         table = self.before.then(time, self.clouds, references, memory, nets)
-        return table.take(kept) if apart else table
+        return table.take(rows) if decided_rows else table
 
     def reports(self, frame: int) -> Mapping[int, tuple[Event, ...]]:
         """Nothing is left out of an update."""
@@ -253,47 +257,47 @@ class FilteredRows(Mapping[str, Filtered]):
     @cached_property
     def ess(self) -> list[float]:
         """Of each target the effective number of hypotheses."""
-        found: list[float] = effective(self.clouds.log).tolist()
-        return found
+        numbers: list[float] = effective(self.clouds.log).tolist()
+        return numbers
 
-    def reweighted(self, said: Mapping[str, Floats], joins: Mapping[str, JoinMetrics]) -> FilteredRows:
+    def reweighted(self, messages: Mapping[str, Floats], joins: Mapping[str, JoinMetrics]) -> FilteredRows:
         """With what a joint belief says of some targets: (N,) log-likelihoods, and in numbers.
 
         A target of which it leaves no hypothesis keeps its weights.
         """
-        own = {target: one for target, one in joins.items() if target in self.before.index}
-        known = [target for target in said if target in self.before.index]
-        if not known:
-            return replace(self, joins=own, _made={})
-        rows = np.array([self.before.index[target] for target in known])
-        after, size = np.array([said[target] for target in known]), self.said.shape[1]
-        log, total = weigh(LogWeights.uniform(size).log, after)
+        joined = {target: metrics for target, metrics in joins.items() if target in self.before.index}
+        names = [target for target in messages if target in self.before.index]
+        if not names:
+            return replace(self, joins=joined, _made={})
+        rows = np.array([self.before.index[target] for target in names])
+        likelihoods, size = np.array([messages[target] for target in names]), self.said.shape[1]
+        log, total = weigh(LogWeights.uniform(size).log, likelihoods)
         usable = np.isfinite(total)
-        rows, log, total, after = rows[usable], log[usable], total[usable], after[usable]
+        rows, log, total, likelihoods = rows[usable], log[usable], total[usable], likelihoods[usable]
         all_said, all_log, weights = self.said.copy(), self.clouds.log.copy(), self.clouds.weights.copy()
-        all_said[rows], all_log[rows], weights[rows] = after, log, np.exp(log)
+        all_said[rows], all_log[rows], weights[rows] = likelihoods, log, np.exp(log)
         evidence = self.log_evidence.copy()
         evidence[rows] = evidence[rows] + total - self.log_evidence[rows]
         clouds = replace(self.clouds, log=all_log, weights=weights)
-        return replace(self, clouds=clouds, said=all_said, log_evidence=evidence, joins=own, _made={})
+        return replace(self, clouds=clouds, said=all_said, log_evidence=evidence, joins=joined, _made={})
 
     def take(self, rows: Sequence[int]) -> FilteredRows:
         """Some of the targets."""
-        chosen = some(rows)
-        after = replace(
+        picks = some(rows)
+        group = replace(
             self,
             before=self.before.take(rows),
             clouds=self.clouds.take(rows),
-            messages={agent: said[chosen] for agent, said in self.messages.items()},
-            own=self.own[chosen],
-            said=self.said[chosen],
-            log_evidence=self.log_evidence[chosen],
-            parents=None if self.parents is None else self.parents[chosen],
+            messages={agent: answers[picks] for agent, answers in self.messages.items()},
+            own=self.own[picks],
+            said=self.said[picks],
+            log_evidence=self.log_evidence[picks],
+            parents=None if self.parents is None else self.parents[picks],
             _made=dict(self._made),
         )
         if "places" in self.__dict__:
-            after.__dict__["places"] = self.places[chosen]
-        return after
+            group.__dict__["places"] = self.places[picks]
+        return group
 
     def __getitem__(self, target: str) -> Filtered:
         if target not in self._made:
@@ -309,7 +313,7 @@ class FilteredRows(Mapping[str, Filtered]):
             float(self.log_evidence[row]),
             posterior,
             self.prior,
-            Evidence(self.own[row], {agent: said[row] for agent, said in self.messages.items()}),
+            Evidence(self.own[row], {agent: answers[row] for agent, answers in self.messages.items()}),
             FindMap(self.said[row], posterior.states, inputs),
         )
         if "places" in self.__dict__ and self.places[row] >= 0:
@@ -344,12 +348,12 @@ def _ask_nobody(hypotheses: Hypotheses, prior_log: Floats) -> Evidence:
     raise AssertionError("the frame's hypotheses were weighed already")
 
 
-def weigh(prior_log: Floats, said: Floats) -> tuple[Floats, Floats]:
+def weigh(prior_log: Floats, message: Floats) -> tuple[Floats, Floats]:
     """(T, N) normalised log-weights after likelihoods, and (T,) log-evidence; not finite where none are left.
 
-    `prior_log` (N,) or (T, N), `said` (T, N); the bits of `LogWeights.normalise` of each row.
+    `prior_log` (N,) or (T, N), `message` (T, N); the bits of `LogWeights.normalise` of each row.
     """
-    log = prior_log + said
+    log = prior_log + message
     top = log.max(axis=1)
     with np.errstate(invalid="ignore"):
         shares = np.exp(log - top[:, None])
@@ -387,8 +391,8 @@ class Together(Mapping[str, Filtered]):
         return target in self.others or target in self._group
 
     def __iter__(self) -> Iterator[str]:
-        every = len(self) == len(self.order)
-        return iter(self.order) if every else (target for target in self.order if target in self)
+        is_full = len(self) == len(self.order)
+        return iter(self.order) if is_full else (target for target in self.order if target in self)
 
     def __len__(self) -> int:
         return len(self.others) + len(self._group)

@@ -23,36 +23,38 @@ def arrange(work: FrameContext, state: State) -> tuple[Targets, Mapping[str, Tra
     A target that a person switches, that an agent gives no answer for, or about which more than its status
     was decided, is an object for as long as that lasts.
     """
-    before, records = Targets.of(state.targets), state.history.records
+    targets, records = Targets.of(state.targets), state.history.records
     if state.previous is None:
-        return before, records
+        return targets, records
     nets = work.net.targets
     odd = {*work.by_hand, *(target for target, _, _ in work.availability.known)}
-    is_plain = before.gaussians and not (odd or before.others or before.particles)
-    if is_plain and all(rows.checked is nets for rows in before.gaussians):
-        return before, records
+    is_plain = targets.gaussians and not (odd or targets.others or targets.particles)
+    if is_plain and all(rows.checked is nets for rows in targets.gaussians):
+        return targets, records
     tables: dict[str, Rows] = {}
-    left: dict[str, TargetState] = {}
-    for rows in before.gaussians:
-        kept = rows if rows.checked is nets and not odd else _kept(rows, nets, odd)
-        if kept is not rows:
-            left.update((one, before[one]) for one in rows.ids if one not in kept.index)
-        if kept.ids:
-            tables[rows.rule.plate] = kept
-    others = {**before.others, **left} if left else before.others
-    if others:
-        known = {target: records[target] for target in others if target in records}
-        able = {target: one for target, one in others.items() if target not in odd}
-        for plate, rows in rows_of(work.engine, nets, able, known, state.previous.time).items():
+    removed: dict[str, TargetState] = {}
+    for rows in targets.gaussians:
+        fitting = rows if rows.checked is nets and not odd else _kept(rows, nets, odd)
+        if fitting is not rows:
+            removed.update((target, targets[target]) for target in rows.ids if target not in fitting.index)
+        if fitting.ids:
+            tables[rows.rule.plate] = fitting
+    singles = {**targets.others, **removed} if removed else targets.others
+    if singles:
+        counted = {target: records[target] for target in singles if target in records}
+        able = {target: state for target, state in singles.items() if target not in odd}
+        for plate, rows in rows_of(work.engine, nets, able, counted, state.previous.time).items():
             tables[plate] = tables[plate].extended(rows) if plate in tables else rows
     gaussians = [rows if rows.checked is nets else rows.changed(checked=nets) for rows in tables.values()]
-    if not others:
-        return Targets(gaussians, before.particles, {}, before.order), Records(gaussians, {})
+    if not singles:
+        return Targets(gaussians, targets.particles, {}, targets.order), Records(gaussians, {})
     placed = {target for rows in gaussians for target in rows.ids}
-    others = {target: one for target, one in others.items() if target not in placed}
-    order = [target for target in before if target not in placed]
-    apart = {target: one for target, one in known.items() if target not in placed}
-    return Targets(gaussians, before.particles, others, order), Records(gaussians, apart)
+    singles = {target: target_state for target, target_state in singles.items() if target not in placed}
+    order = [target for target in targets if target not in placed]
+    single_records = {
+        target: target_state for target, target_state in counted.items() if target not in placed
+    }
+    return Targets(gaussians, targets.particles, singles, order), Records(gaussians, single_records)
 
 
 def _kept(rows: Rows, nets: Mapping[str, TargetNet], odd: Collection[str]) -> Rows:
@@ -75,11 +77,11 @@ def rows_of(
         rule = row_rule(engine, net.template)
         if rule is not None and net_fits(rule, net) and state_fits(rule, state, time):
             fit.setdefault(net.template, {})[target] = state
-    found = {}
-    for plate, several in fit.items():
+    tables = {}
+    for plate, members in fit.items():
         rule = row_rule(engine, plate)
         assert rule is not None
-        found[plate] = make_rows(
-            rule, several, records, [nets[one].status == "lost" for one in several], time
+        tables[plate] = make_rows(
+            rule, members, records, [nets[target].status == "lost" for target in members], time
         )
-    return found
+    return tables

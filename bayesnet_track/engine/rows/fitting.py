@@ -34,7 +34,7 @@ LinearMotion = KinematicMotion | BoxVelocityMotion
 
 @dataclass(frozen=True, eq=False)
 class RowRule:
-    """What the rows of a plate have in common.
+    """The rule that the rows of a plate have in common.
 
     Attributes:
         compiled: the plate.
@@ -88,7 +88,7 @@ class RowRule:
 
 
 def row_rule(engine: Engine, plate: str) -> RowRule | None:
-    """What the rows of a plate have in common; None where its targets have to go one by one."""
+    """The rule of the rows of a plate; None where its targets have to go one by one."""
     return None if engine.joins else _rule_of(engine.plates[plate])
 
 
@@ -98,8 +98,8 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
     if len(compiled.association_rules) != 1 or plate.factors or not is_flat(plate):
         return None
     agent, association = next(iter(compiled.association_rules.items()))
-    others = tuple(one for one in plate.agents if one != agent)
-    is_usual = plate.agent(agent).active and not any(plate.agent(one).active for one in others)
+    idle = tuple(name for name in plate.agents if name != agent)
+    is_usual = plate.agent(agent).active and not any(plate.agent(name).active for name in idle)
     if not is_usual or any(map(is_elsewhere, compiled.cues.values())):
         return None
     node, root = compiled.plate.agent(agent), compiled.plate.inference(compiled.plate.root)
@@ -119,7 +119,7 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
     return RowRule(
         compiled,
         agent,
-        others,
+        idle,
         motion,
         association,
         float(association.floor or 0.0) ** (1.0 / node.temperature),
@@ -137,9 +137,9 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
 
 def _root_fits(root: InferenceNode) -> bool:
     estimate = "map" if root.estimate is None else root.estimate.kind
-    further = (root.adapt, root.score, root.localization_error, root.distractors)
+    options = (root.adapt, root.score, root.localization_error, root.distractors)
     is_product = root.fuse is None or root.fuse.kind == "product"
-    return estimate in ("map", "mean") and is_product and all(one is None for one in further)
+    return estimate in ("map", "mean") and is_product and all(option is None for option in options)
 
 
 def _is_linear(motion: LinearMotion) -> bool:

@@ -28,33 +28,37 @@ LEAST = -1e3
 
 
 def logs_on(
-    work: FrameContext, neighbours: Mapping[str, Sequence[str]], of: Together
+    work: FrameContext, neighbours: Mapping[str, Sequence[str]], filtered: Together
 ) -> dict[str, dict[str, float]]:
     """Target -> other -> mean log-likelihood, by its own agents, of boxes of it wholly on the other's.
 
     Where its box is the larger one, in the middle of the other's.
     """
     work = replace(work, seconds={})  # what this takes is counted among the joins
-    found: dict[str, dict[str, float]] = {}
-    for group in of.groups:
+    logs: dict[str, dict[str, float]] = {}
+    for group in filtered.groups:
         names = [
-            name for name in group.ids if name in neighbours and all(one in group for one in neighbours[name])
+            name
+            for name in group.ids
+            if name in neighbours and all(partner in group for partner in neighbours[name])
         ]
         if names:
-            found |= _ask_together(work, group, {name: neighbours[name] for name in names})
+            logs |= _ask_together(work, group, {name: neighbours[name] for name in names})
     return {
-        name: found[name] if name in found else _ask(work, of[name], others, [of[other] for other in others])
-        for name, others in neighbours.items()
+        name: logs[name]
+        if name in logs
+        else _ask(work, filtered[name], partners, [filtered[partner] for partner in partners])
+        for name, partners in neighbours.items()
     }
 
 
 def _ask_together(
     work: FrameContext, group: FilteredRows, neighbours: Mapping[str, Sequence[str]]
 ) -> dict[str, dict[str, float]]:
-    """What `logs_on` gives of targets and neighbours of one group, without those where an agent fails."""
+    """Values of `logs_on` for targets and neighbours of one group, without those where an agent fails."""
     from bayesnet_track.numerics.kernels.joint_kernels import put_on_others
 
-    index, counts = group.before.index, [len(others) for others in neighbours.values()]
+    index, counts = group.before.index, [len(partners) for partners in neighbours.values()]
     rows = np.array([index[name] for name in neighbours])
     firsts = np.cumsum([0, *counts])
     places = put_on_others(
@@ -62,19 +66,21 @@ def _ask_together(
         group.clouds.weights,
         rows,
         firsts,
-        np.array([index[other] for others in neighbours.values() for other in others]),
+        np.array([index[partner] for partners in neighbours.values() for partner in partners]),
         _uniforms(work, neighbours),
         ON_SIZE,
     )
     hypotheses = hypotheses_of(places, group.clouds.fields)
-    asked = [one.agent for one in group.plan.observations]
-    known = {agent: ReferenceRows.some(group.references[agent], rows) for agent in asked}
-    messages, failed = ask_together(work, (group.compiled, group.plan, known), hypotheses, firsts * ON_SIZE)
+    agents = [observation.agent for observation in group.plan.observations]
+    references = {agent: ReferenceRows.some(group.references[agent], rows) for agent in agents}
+    messages, failed = ask_together(
+        work, (group.compiled, group.plan, references), hypotheses, firsts * ON_SIZE
+    )
     log = join_plain(group.plan, messages, (len(places),))[group.plan.root]
     means = _means(log)
     return {
-        name: dict(zip(others, means[first : first + len(others)], strict=True))
-        for t, ((name, others), first) in enumerate(zip(neighbours.items(), firsts.tolist(), strict=False))
+        name: dict(zip(partners, means[first : first + len(partners)], strict=True))
+        for t, ((name, partners), first) in enumerate(zip(neighbours.items(), firsts.tolist(), strict=False))
         if t not in failed
     }
 
@@ -87,23 +93,23 @@ def _means(log: Floats) -> list[float]:
 
 def _uniforms(work: FrameContext, neighbours: Mapping[str, Sequence[str]]) -> Floats:
     """The random numbers of all: of each target its own shift, a shift for each other, two for each box."""
-    counts = [1 + len(others) * (1 + 2 * ON_SIZE) for others in neighbours.values()]
+    counts = [1 + len(partners) * (1 + 2 * ON_SIZE) for partners in neighbours.values()]
     return work.engine.streams.uniforms(work.births_of(neighbours), "on", work.moment, "places", counts)
 
 
-def _places(work: FrameContext, one: Filtered, others: Sequence[Filtered]) -> Floats:
+def _places(work: FrameContext, target: Filtered, partners: Sequence[Filtered]) -> Floats:
     """(K, D) states of a target, `ON_SIZE` on each of the others."""
     from bayesnet_track.numerics.resampling import look_up_even
 
-    count, size = len(others), ON_SIZE * len(others)
-    uniforms = work.stream(one.target, "on")("places").random(1 + count + 2 * size)
-    own = one.step.support
-    states = own.states[look_up_even(own.weights.weights, uniforms[0], size)]
+    count, size = len(partners), ON_SIZE * len(partners)
+    uniforms = work.stream(target.target, "on")("places").random(1 + count + 2 * size)
+    support = target.step.support
+    states = support.states[look_up_even(support.weights.weights, uniforms[0], size)]
     boxes = np.concatenate(
         [
-            there.boxes[look_up_even(there.weights.weights, shift, ON_SIZE)]
-            for there, shift in zip(
-                (other.step.support for other in others), uniforms[1 : 1 + count], strict=True
+            partner_support.boxes[look_up_even(partner_support.weights.weights, shift, ON_SIZE)]
+            for partner_support, shift in zip(
+                (partner.step.support for partner in partners), uniforms[1 : 1 + count], strict=True
             )
         ]
     )
@@ -113,20 +119,20 @@ def _places(work: FrameContext, one: Filtered, others: Sequence[Filtered]) -> Fl
 
 
 def _ask(
-    work: FrameContext, one: Filtered, names: Sequence[str], others: Sequence[Filtered]
+    work: FrameContext, target: Filtered, names: Sequence[str], partners: Sequence[Filtered]
 ) -> dict[str, float]:
-    """What `logs_on` gives of one target."""
-    states = _places(work, one, others)
+    """Values of `logs_on` for one target."""
+    states = _places(work, target, partners)
     observer = Observer(
         work.cache,
-        work.plate_of(one.target).cues,
-        one.before.references,
-        work.stream(one.target, "on"),
+        work.plate_of(target.target).cues,
+        target.before.references,
+        work.stream(target.target, "on"),
         work.engine.clock,
         work.seconds,
-        availability=work.availability_of(one.target, "joining"),
+        availability=work.availability_of(target.target, "joining"),
     )
-    seen = hypotheses_of(states, particles(one.step.posterior).fields)
-    plan = replace(one.plan, factors=())
-    log = evaluate(plan, observer, seen, LogWeights.uniform(len(states)).log).log_likelihood
+    hypotheses = hypotheses_of(states, particles(target.step.posterior).fields)
+    plan = replace(target.plan, factors=())
+    log = evaluate(plan, observer, hypotheses, LogWeights.uniform(len(states)).log).log_likelihood
     return dict(zip(names, _means(log), strict=True))

@@ -37,10 +37,10 @@ from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.log_weights import LogWeights
 
 
-def filter_rows(work: FrameContext, before: Mapping[str, TargetState]) -> list[FilteredRows]:
-    """Those of the targets that fit, predicted and weighed by what their active agents see, by groups."""
+def filter_rows(work: FrameContext, targets: Mapping[str, TargetState]) -> list[FilteredRows]:
+    """The targets that fit, predicted and weighed by what their active agents see, by groups."""
     groups = []
-    tables, moves = _tables(work, before)
+    tables, moves = _tables(work, targets)
     for table in tables:
         group = _filter(work, table, {target: moves[target] for target in table.ids if target in moves})
         if len(group):
@@ -49,53 +49,55 @@ def filter_rows(work: FrameContext, before: Mapping[str, TargetState]) -> list[F
 
 
 def _tables(
-    work: FrameContext, before: Mapping[str, TargetState]
+    work: FrameContext, targets: Mapping[str, TargetState]
 ) -> tuple[list[ParticleTable], Mapping[str, PredictedMotion]]:
     """The targets that fit, those together that are alike, and the motions that depend on more than states.
 
     Those that are columns already come first.
     """
-    known = Targets.of(before).unchanged(work.net.targets)
+    arranged = Targets.of(targets).unchanged(work.net.targets)
     tables: dict[Hashable, ParticleTable] = {}
-    others, moves = dict(known.others), dict[str, PredictedMotion]()
+    singles, moves = dict(arranged.others), dict[str, PredictedMotion]()
     key: Hashable
-    for table in known.particles:
+    for table in arranged.particles:
         if not _asks_here(work, table.compiled, table.plan):
             continue
-        most = work.net.targets[table.ids[0]].most_particles
+        limit = work.net.targets[table.ids[0]].most_particles
         shape = table.clouds.states.shape[1:]
         key = (
             table.compiled.plate.name,
             table.plan.active,
             table.time,
             shape,
-            most,
+            limit,
             id(table.compiled.motion),
         )
         if key in tables:  # they had another number of hypotheses so far
-            others |= {target: table.state(row) for row, target in enumerate(table.ids)}
+            singles |= {target: table.state(row) for row, target in enumerate(table.ids)}
         else:
             tables[key] = table
-    alike: dict[Hashable, dict[str, TargetState]] = {}
-    for target, state in others.items():
+    stackable: dict[Hashable, dict[str, TargetState]] = {}
+    for target, state in singles.items():
         live, compiled = work.net.targets[target], work.plate_of(target)
         if not plate_fits(compiled):
             continue
-        own = with_agents(compiled, state, live.looking(work.frame.ordinal))
-        if own.plan.factors or any(one.agent not in own.references for one in own.plan.observations):
+        adapted = with_agents(compiled, state, live.looking(work.frame.ordinal))
+        if adapted.plan.factors or any(
+            observation.agent not in adapted.references for observation in adapted.plan.observations
+        ):
             continue
-        if not _asks_here(work, compiled, own.plan):
+        if not _asks_here(work, compiled, adapted.plan):
             continue
-        if compiled.moving is not None and own.motion_context is not None:
-            predicted = _predict(work, compiled, own, live.status == "lost")
+        if compiled.moving is not None and adapted.motion_context is not None:
+            predicted = _predict(work, compiled, adapted, live.status == "lost")
             if predicted is None:
                 continue
             moves[target] = predicted
         motion = moves[target].motion if target in moves else compiled.motion
-        shape = particles(own.belief).states.shape
-        key = (live.template, own.plan.active, own.time, shape, live.most_particles, id(motion))
-        alike.setdefault(key, {})[target] = own
-    for key, group in alike.items():
+        shape = particles(adapted.belief).states.shape
+        key = (live.template, adapted.plan.active, adapted.time, shape, live.most_particles, id(motion))
+        stackable.setdefault(key, {})[target] = adapted
+    for key, group in stackable.items():
         added = ParticleTable.of(work.plate_of(next(iter(group))), group)
         tables[key] = tables[key].extended(added) if key in tables else added
     return list(tables.values()), moves
@@ -135,13 +137,16 @@ def _asks_here(work: FrameContext, compiled: CompiledPlate, plan: Plan) -> bool:
         not work.availability.known
         and len(plan.observations) > 0
         and not (plan.draws or plan.views)
-        and not any(one.measures or is_elsewhere(compiled.cues[one.agent]) for one in plan.observations)
+        and not any(
+            observation.measures or is_elsewhere(compiled.cues[observation.agent])
+            for observation in plan.observations
+        )
     )
 
 
 def _filter(work: FrameContext, table: ParticleTable, moves: Mapping[str, PredictedMotion]) -> FilteredRows:
     """The targets of a table, but for those with weights that say nothing, a failed agent, or a search."""
-    started, compiled, plan = work.engine.clock(), table.compiled, table.plan
+    start, compiled, plan = work.engine.clock(), table.compiled, table.plan
     free = moves[table.ids[0]].motion if moves else compiled.motion
     motion = confined(free, work.frame.width, work.frame.height, work.inputs)
     states, parents = _move(work, table, motion)
@@ -158,12 +163,12 @@ def _filter(work: FrameContext, table: ParticleTable, moves: Mapping[str, Predic
     filtered = FilteredRows(
         work, table, clouds, messages, total, total, log_evidence, motion, parents=parents, moves=moves
     )
-    work.charge("belief", started)
+    work.charge("belief", start)
     is_usable = np.isfinite(log_evidence)
     is_usable[list(failed)] = False
     if sudden_rule(compiled) is not None:
         for row in np.flatnonzero(is_usable).tolist():
-            fit = fit_of([messages[one.agent][row] for one in plan.observations])
+            fit = fit_of([messages[observation.agent][row] for observation in plan.observations])
             is_usable[row] = not is_sudden(work, table.ids[row], table.base[row], fit)
     for row, faults in failed.items():
         for agent, fault in faults.items():
