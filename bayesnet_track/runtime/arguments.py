@@ -93,8 +93,8 @@ def say_unused_by_cues(graph: CheckedGraph, source: FrameSource | None = None) -
     """A notice for each thing that the agents' files hold and a run through `source` does not use."""
     frames = frames_of(source)
     seconds = float(getattr(source, "frame_interval_s", math.nan))
-    for one in read_inputs(graph.spec).values():
-        for text in one.columns.gaps(frames, seconds):
+    for entry in read_inputs(graph.spec).values():
+        for text in entry.columns.gaps(frames, seconds):
             notice(text)
     for text in dict.fromkeys(_unused_by_cues(graph, frames)):
         notice(text)
@@ -165,13 +165,13 @@ def explain_unused(
     read = {index: of_frame for index, of_frame in detections.items() if index in frames}
     first = min(read, default=0)
     step = gcd(*(index - first for index in read))
-    every = step // frames.step
-    if every > 1 and not _waits_for(graph, first // frames.step, every):
+    interval = step // frames.step
+    if interval > 1 and not _waits_for(graph, first // frames.step, interval):
         begin = f"{setting('--start', str(first))} " if first != frames.start else ""
         yield (
             f"only one frame in {step} has detections, and in the others nobody is detected: "
             f"{begin}{setting('--stride', str(step))} reads only those that have some; with "
-            f"every: {every} in the graph's birth nobody looks at the others"
+            f"every: {interval} in the graph's birth nobody looks at the others"
         )
     yield from _explain_places(read, size)
     total = sum(map(len, read.values()))
@@ -192,15 +192,15 @@ def explain_unused(
 
 
 def _waits_for(graph: CheckedGraph, first: int, step: int) -> bool:
-    """Whether births by given detections leave out all but one in `step` frames, from the `first` on."""
+    """True if births by given detections leave out all but one in `step` frames, from the `first` on."""
     births = (plate.spec.birth for plate in graph.targets.values())
-    every = [one.every for one in births if one is not None and one.detector.detector == GIVEN]
-    return first % step == 0 and all(one % step == 0 for one in every)
+    intervals = [birth.every for birth in births if birth is not None and birth.detector.detector == GIVEN]
+    return first % step == 0 and all(interval % step == 0 for interval in intervals)
 
 
 def _explain_frames(detections: DetectionsByFrame, frames: range) -> Iterator[str]:
     """Describe detections outside of the frames that are read or between them, and frames that have none."""
-    read = sorted(index for index in detections if index in frames)
+    read = sorted(n for n in detections if n in frames)
     is_endless = frames.stop == maxsize
     span = f"{frames.start}" + (" and later ones" if is_endless else f" to {max(frames.stop - 1, 0)}")
     if detections and not read:
@@ -213,17 +213,17 @@ def _explain_frames(detections: DetectionsByFrame, frames: range) -> Iterator[st
     total = sum(map(len, detections.values()))
     span_read = range(frames.start, frames.stop)
     unread_frames = {
-        f"before the first one that is read{QUESTION}": [one for one in detections if one < frames.start],
-        f"after the last one that is read{QUESTION}": [one for one in detections if one >= frames.stop],
+        f"before the first one that is read{QUESTION}": [n for n in detections if n < frames.start],
+        f"after the last one that is read{QUESTION}": [n for n in detections if n >= frames.stop],
         f"which a stride of {frames.step} leaves out": [
-            one for one in detections if one in span_read and one not in frames
+            n for n in detections if n in span_read and n not in frames
         ],
     }
     for reason, indices in unread_frames.items():
         if indices:
             place, _, question = reason.partition(":")
             yield (
-                f"{sum(len(detections[one]) for one in indices)} of {total} detections are of frames {place} "
+                f"{sum(len(detections[n]) for n in indices)} of {total} detections are of frames {place} "
                 f"({min(indices)} to {max(indices)}; {span} are read, counted from 0)"
                 f"{':' * bool(question)}{question}"
             )

@@ -136,7 +136,7 @@ class DetectionsTracker(Storable):
 
     @property
     def looks_next(self) -> bool:
-        """Whether detections of the next frame are used; a detector need not run where they are not.
+        """True if detections of the next frame are used; a detector need not run where they are not.
 
         The keys `every` and `pace` of `birth` say in which frames they are.
         """
@@ -203,29 +203,29 @@ class DetectionsTracker(Storable):
         """
         refuse_unknown("update", unknown)
         with self._turns.take("update"):
-            before = self._now
-            clock = (self._clock if before is None else before.clock).tick(time_s, ANEW)
-            image, kind = self._image(frame, before, clock.index)
+            previous = self._now
+            clock = (self._clock if previous is None else previous.clock).tick(time_s, ANEW)
+            image, kind = self._image(frame, previous, clock.index)
             of_cameras = {}
-            now = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
+            current = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
             if self._cameras is not None:
                 of_cameras = {} if detections is None else self._cameras.read(detections)
-                now = self._cameras.frame(now, of_cameras)
+                current = self._cameras.frame(current, of_cameras)
             elif detections is None:
                 self._fed.scanned, self._fed.now = {}, None
             elif self._sensors:
                 self._fed.scanned, rows = read_scans(detections, self._sensors)
             else:
-                given = read_given(detections, self._graph).inside(kind.width, kind.height)
+                boxes = read_given(detections, self._graph).inside(kind.width, kind.height)
                 marked = copy.copy(detections)
-                ids = np.full(given.count, NO_TARGET, dtype=np.int64)
+                ids = np.full(boxes.count, NO_TARGET, dtype=np.int64)
                 marked.tracker_id = ids  # what cannot be marked is refused before anything is learnt from it
-                self._fed.now = given.detections
-            if before is None:
+                self._fed.now = boxes.detections
+            if previous is None:
                 check_starts(self._graph, [], kind.width, kind.height)
-                outcome = start_targets(self._graph, self._engine, now, [])
+                outcome = start_targets(self._graph, self._engine, current, [])
             else:
-                outcome = step(self._engine, before.state, now)
+                outcome = step(self._engine, previous.state, current)
             resizing = Resizing.to(kind.width, kind.height, None)
             self._now = Standing(
                 outcome.state,
@@ -245,11 +245,11 @@ class DetectionsTracker(Storable):
                     agent: owners_by_share(outcome.state, agent, scan, rows[agent], _count(detections[agent]))
                     for agent, scan in self._fed.scanned.items()
                 }
-            ids[given.rows] = owners(given.detections.boxes, outcome.metrics)
+            ids[boxes.rows] = owners(boxes.detections.boxes, outcome.metrics)
             return marked
 
     def _image(
-        self, frame: NDArray[np.uint8] | None, before: Standing | None, index: int
+        self, frame: NDArray[np.uint8] | None, previous: Standing | None, index: int
     ) -> tuple[NDArray[np.uint8], FrameKind]:
         """The frame as it is tracked in, black where none is given and none is looked at, and its kind."""
         users = self._users
@@ -269,17 +269,17 @@ class DetectionsTracker(Storable):
                 )
             size = (
                 (self._size or self._graph.image_size or USUAL_SIZE)
-                if before is None
-                else (before.kind.width, before.kind.height)
+                if previous is None
+                else (previous.kind.width, previous.kind.height)
             )
             return blank_image(*size), FrameKind(*size, True, 3, "uint8")
         if not isinstance(frame, np.ndarray):
             raise ValueError(f"a frame is an array of pixels, not {type(frame).__name__}")
         image, has_color = self._levels(frame.copy())  # a copy: the caller may reuse its buffer
-        seen = Frame(index, 0.0, image, has_color)
-        kind = FrameKind.of(seen)
-        if before is not None:
-            (before.kind if users else before.kind.of_either_color).check(seen, ANEW)
+        checked = Frame(index, 0.0, image, has_color)
+        kind = FrameKind.of(checked)
+        if previous is not None:
+            (previous.kind if users else previous.kind.of_either_color).check(checked, ANEW)
         elif self._size not in (None, (kind.width, kind.height)):
             width, height = self._size or USUAL_SIZE
             notice(f"size=({width}, {height}) is not used: the frame that is given has {kind}")
@@ -289,16 +289,16 @@ class DetectionsTracker(Storable):
 def owners(boxes: NDArray[np.float64], targets: Sequence[FrameMetrics]) -> NDArray[np.int64]:
     """The target of each centre box (n, 4), best overlaps first; a target has one at most."""
     ids, places = Lines.of(targets).held()
-    found = [NO_TARGET] * len(boxes)
+    ids_of_boxes = [NO_TARGET] * len(boxes)
     columns, rows, shares = overlapping_pairs(places, boxes)
     order = np.lexsort((columns, rows, -shares))
-    best = order[shares[order] >= LEAST_OVERLAP]
-    taken: set[int] = set()
-    for row, column in zip(rows[best].tolist(), columns[best].tolist(), strict=True):
-        if found[row] == NO_TARGET and column not in taken:
-            found[row] = int(ids[column])
-            taken.add(column)
-    return np.array(found, dtype=np.int64)
+    order_used = order[shares[order] >= LEAST_OVERLAP]
+    assigned: set[int] = set()
+    for row, column in zip(rows[order_used].tolist(), columns[order_used].tolist(), strict=True):
+        if ids_of_boxes[row] == NO_TARGET and column not in assigned:
+            ids_of_boxes[row] = int(ids[column])
+            assigned.add(column)
+    return np.array(ids_of_boxes, dtype=np.int64)
 
 
 def owners_by_share(
@@ -306,28 +306,32 @@ def owners_by_share(
 ) -> NDArray[np.int64]:
     """The target of each detection (count,) of a sensor: the one that it is more probably than not."""
     ids = np.full(count, NO_TARGET, dtype=np.int64)
-    for target, own in state.targets.items():
-        given = own.references.get(agent, {}).get(OWN_DETECTION)
-        if given is None or not len(given) or state.net.targets[target].status == "lost":
+    for target, target_state in state.targets.items():
+        own_detections = target_state.references.get(agent, {}).get(OWN_DETECTION)
+        if own_detections is None or not len(own_detections) or state.net.targets[target].status == "lost":
             continue
         width = scan.values.shape[1]
-        weights = given[:, width + 1] if given.shape[1] > width + 1 else np.ones(len(given))
-        best = int(np.argmax(weights))
-        if weights[best] >= 0.5:
-            same = np.flatnonzero((scan.values == given[best, :width]).all(axis=1))
+        weights = (
+            own_detections[:, width + 1]
+            if own_detections.shape[1] > width + 1
+            else np.ones(len(own_detections))
+        )
+        heaviest = int(np.argmax(weights))
+        if weights[heaviest] >= 0.5:
+            same = np.flatnonzero((scan.values == own_detections[heaviest, :width]).all(axis=1))
             free = [row for row in rows[same].tolist() if ids[row] == NO_TARGET]
             ids[free[:1]] = int(target)
     return ids
 
 
-def _count(given: Mapping[str, Any]) -> int:
+def _count(columns: Mapping[str, Any]) -> int:
     """Number of rows that were given of a sensor."""
-    return len(np.atleast_1d(next(iter(given.values()))))
+    return len(np.atleast_1d(next(iter(columns.values()))))
 
 
 def _checked_sizes(size: Any) -> tuple[int, int] | dict[str, tuple[int, int]] | None:
     if isinstance(size, Mapping):
-        return {str(camera): _checked(one) for camera, one in size.items()}
+        return {str(camera): _checked(camera_size) for camera, camera_size in size.items()}
     return None if size is None else _checked(size)
 
 

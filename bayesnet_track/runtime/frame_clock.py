@@ -133,9 +133,9 @@ class FrameClock:
     def _intervals(self, seconds: float, first_s: float) -> float:
         """Intervals after the first frame; what is whole up to the rounding of the seconds is whole."""
         time = (seconds - first_s) * self.rate
-        whole = float(round(time))
+        rounded = float(round(time))
         slack = 1e-9 + 4.0 * math.ulp(max(seconds, first_s)) * self.rate
-        return whole if abs(time - whole) <= slack and whole > self.time else time
+        return rounded if abs(time - rounded) <= slack and rounded > self.time else time
 
 
 def refuse_unknown(call: str, unknown: dict[str, Never]) -> None:
@@ -246,11 +246,11 @@ class Fed:
         return {}
 
     def detect(self, frames: FramePair, state: DetectorState) -> tuple[Detections | None, DetectorState]:
-        """What it was given for this frame; None where nobody looked."""
+        """Detections that it was given for this frame; None where nobody looked."""
         return self.now, state
 
     def scans(self, frame: Frame) -> Mapping[str, Scan]:
-        """What other sensors measured in this frame."""
+        """Scans of other sensors in this frame."""
         return self.scanned
 
 
@@ -339,9 +339,9 @@ class _Silent:
         """An empty reference."""
         return {}
 
-    def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
+    def blend(self, reference: Reference, observed: Reference, rate: float) -> Reference:
         """The same as before."""
-        return old
+        return reference
 
     def log_likelihood(self, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
         """(N,) zeros: all are alike."""

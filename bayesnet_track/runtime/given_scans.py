@@ -58,7 +58,7 @@ def _columns(plate: CheckedTarget, agent: str) -> SensorColumns:
 
 
 def given_detector(graph: CheckedGraph, path: str | Path) -> FileDetector | ScanFile:
-    """What a file of detections holds for a graph: boxes, or the quantities of its sensors.
+    """Contents of a file of detections for a graph: boxes, or the quantities of its sensors.
 
     Raises:
         OSError: the file cannot be read.
@@ -158,7 +158,7 @@ def check_scans(
 def read_scans(
     detections: Any, sensors: Mapping[str, SensorColumns]
 ) -> tuple[dict[str, Scan], dict[str, Any]]:
-    """What a program gives for a frame: agent -> scan, and agent -> the rows (n,) of what can be used.
+    """Scans that a program gives for a frame: agent -> scan, and agent -> the usable rows (n,).
 
     Raises:
         TypeError: it is no mapping of sensors, or one of them no mapping of quantities.
@@ -329,7 +329,7 @@ def _with_corners(detections: Any) -> Any:
     boxes: Any = None if hasattr(detections, "xyxy") else getattr(detections, "boxes", None)
     if not all(hasattr(boxes, name) for name in ("xyxy", "conf", "cls")):
         return detections
-    corners, scores, classes = (fetched(one) for one in (boxes.xyxy, boxes.conf, boxes.cls))
+    corners, scores, classes = (fetched(array) for array in (boxes.xyxy, boxes.conf, boxes.cls))
     names = [str(detections.names.get(int(number), int(number))) for number in classes]
     return SimpleNamespace(xyxy=corners, confidence=scores, data={"class_name": names})
 
@@ -369,9 +369,9 @@ def _labels(detections: Any, count: int, graph: CheckedGraph) -> tuple[str, ...]
     if names is not None:
         _check_one_each('data["class_name"]', np.shape(names), count)
         return tuple(map(str, names))
-    wanted = next((one for plate in graph.targets.values() for one in plate.confusions.items()), None)
-    if wanted is not None and count:
-        agent, category = wanted
+    confusion = next((pair for plate in graph.targets.values() for pair in plate.confusions.items()), None)
+    if confusion is not None and count:
+        agent, category = confusion
         raise ValueError(
             f'detections without data["class_name"]; agent {agent} of the graph takes labels as evidence of '
             f"{category}: give a name for each box, an empty one where it is unknown"

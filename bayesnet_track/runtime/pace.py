@@ -33,12 +33,12 @@ class WaitBudget:
         each_s: seconds for which one agent is waited for.
     """
 
-    def __init__(self, until: float, each_s: float) -> None:
-        self._until, self._each_s = until, each_s
+    def __init__(self, deadline: float, each_s: float) -> None:
+        self._until, self._each_s = deadline, each_s
         self._waited: dict[str, float] = {}
 
-    def until(self, agent: str, now: float) -> float:
-        """The moment by which the agent has to answer what it is asked `now`.
+    def until(self, agent: str, moment: float) -> float:
+        """The moment by which the agent has to answer what it is asked `moment`.
 
         >>> patience = WaitBudget(10.8, 0.5)
         >>> patience.until("hue", 10.0)
@@ -47,7 +47,7 @@ class WaitBudget:
         >>> round(patience.until("hue", 10.6), 9), patience.until("motion", 10.6)
         (10.7, 10.8)
         """
-        return min(self._until, now + max(self._each_s - self._waited.get(agent, 0.0), 0.0))
+        return min(self._until, moment + max(self._each_s - self._waited.get(agent, 0.0), 0.0))
 
     def waited(self, agent: str, seconds: float) -> None:
         """The agent was waited for."""
@@ -123,7 +123,7 @@ class Deadline:
             return ()
         spare = SpareTime(frame, self._most, self.budget_ms, self._calm)
         self._calm, self._most = 0, 0.0
-        is_short = any(one.shed or one.most_particles is not None for one in net.targets.values())
+        is_short = any(live.shed or live.most_particles is not None for live in net.targets.values())
         return (spare,) if is_short else ()
 
 
@@ -150,31 +150,31 @@ class Progress:
         self._last = ""
 
     def update(
-        self, now: float, done: int, active: Sequence[str], ud_px2: float, status: str, unit: str = "px²"
+        self, moment: float, frames: int, active: Sequence[str], ud_px2: float, status: str, unit: str = "px²"
     ) -> None:
-        """Tell that `done` frames are ready at time `now` (seconds, any origin); shows it when it is due."""
+        """Tell that so many `frames` are ready at `moment` (seconds, any origin); shows it when it is due."""
         digits = 1 if unit == "px²" else 5
         finite = round(ud_px2, digits) if abs(ud_px2) < float("inf") else None
         self.advance(
-            now,
-            done,
+            moment,
+            frames,
             f"{', '.join(active) or 'none'} | UD {ud_px2:.{digits - 1}f} {unit} | {status}",
             {"active": list(active), "ud_px2": finite, "status": status},
         )
 
-    def advance(self, now: float, done: int, text: str, values: Mapping[str, object]) -> None:
+    def advance(self, moment: float, frames: int, text: str, values: Mapping[str, object]) -> None:
         """Tell it with `text` behind the rate, or with `values` in the JSON object."""
         if self._shown_at is None:
-            self._shown_at = now
-        self._recent.append((now, done))
+            self._shown_at = moment
+        self._recent.append((moment, frames))
         self._updates += 1
         if self._updates == 3:  # between the first two, kernels may have been compiled
             self._recent.popleft()
-        while len(self._recent) > 2 and self._recent[1][0] <= now - RATE_WINDOW_S:
+        while len(self._recent) > 2 and self._recent[1][0] <= moment - RATE_WINDOW_S:
             self._recent.popleft()
-        self._last = self._line(done, text, values)
-        if now - self._shown_at >= self._every:
-            self._shown_at = now
+        self._last = self._line(frames, text, values)
+        if moment - self._shown_at >= self._every:
+            self._shown_at = moment
             self._show()
 
     def finish(self) -> None:
@@ -189,26 +189,26 @@ class Progress:
         """Frames per second over the last five seconds; None before three updates."""
         if self._updates < 3 or len(self._recent) < 2:
             return None
-        (began, first), (ended, last) = self._recent[0], self._recent[-1]
-        return (last - first) / (ended - began) if ended > began else None
+        (began, first), (ended, final) = self._recent[0], self._recent[-1]
+        return (final - first) / (ended - began) if ended > began else None
 
-    def _line(self, done: int, text: str, values: Mapping[str, object]) -> str:
+    def _line(self, frames: int, text: str, values: Mapping[str, object]) -> str:
         rate = self.rate()
-        left = (self._total - done) / rate if self._total is not None and rate else None
+        left_s = (self._total - frames) / rate if self._total is not None and rate else None
         if self._log_json:
             return json.dumps(
                 {
-                    "progress": done,
+                    "progress": frames,
                     "total": self._total,
                     "fps": None if rate is None else round(rate, 1),
-                    "left_s": None if left is None else round(max(left, 0.0), 1),
+                    "left_s": None if left_s is None else round(max(left_s, 0.0), 1),
                     **values,
                 }
             )
         of_total = "" if self._total is None else f"/{self._total}"
         speed = "-" if rate is None else f"{rate:.1f}"
-        remaining = "" if left is None else f" | {_clock(max(left, 0.0))} left"
-        return f"frame {done}{of_total} | {speed} fps{remaining} | {text}"
+        remaining = "" if left_s is None else f" | {_clock(max(left_s, 0.0))} left"
+        return f"frame {frames}{of_total} | {speed} fps{remaining} | {text}"
 
     def _show(self) -> None:
         if self._redraws:
@@ -221,6 +221,6 @@ class Progress:
 
 def _clock(seconds: float) -> str:
     """Seconds as h:mm:ss or m:ss."""
-    whole = round(seconds)
-    hours, minutes = divmod(whole // 60, 60)
-    return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{minutes}:{whole % 60:02d}"
+    rounded = round(seconds)
+    hours, minutes = divmod(rounded // 60, 60)
+    return f"{hours}:{minutes:02d}:{rounded % 60:02d}" if hours else f"{minutes}:{rounded % 60:02d}"

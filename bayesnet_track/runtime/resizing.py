@@ -79,10 +79,10 @@ class Resizing:
         return cls((width, height), (max(1, round(share * width)), max(1, round(share * height))))
 
     @classmethod
-    def of(cls, started: RunStarted) -> Self:
+    def of(cls, header: RunStarted) -> Self:
         """The resizing of an earlier run."""
-        size = (started.width, started.height)
-        return cls(size, (started.tracked[0], started.tracked[1]) if started.tracked else size)
+        size = (header.width, header.height)
+        return cls(size, (header.tracked[0], header.tracked[1]) if header.tracked else size)
 
     @property
     def is_none(self) -> bool:
@@ -107,9 +107,9 @@ class Resizing:
             return start
         x, y, w, h = (np.asarray(start.box, dtype=np.float64) * self._in).tolist()
         if min(w, h) < 1 - ROUNDING:
-            given, (width, height) = ",".join(f"{float(value):g}" for value in start.box), self.tracked
+            box_text, (width, height) = ",".join(f"{float(value):g}" for value in start.box), self.tracked
             raise StartError(
-                f"start box {given}: only {w:.3g}x{h:.3g} px where frames are tracked at {width}x{height} "
+                f"start box {box_text}: only {w:.3g}x{h:.3g} px where frames are tracked at {width}x{height} "
                 "px; width and height must be at least 1 px there; give a larger max_side, or none"
             )
         return replace(start, box=(x, y, w, h))
@@ -126,11 +126,11 @@ class Resizing:
             raise ValueError(
                 "max_side: the measures of sensors are of frames in their own size; leave it out"
             )
-        moved = {
-            frame: Detections(_moved(one.boxes, self._in), one.scores, one.labels)
-            for frame, one in detector.found.items()
+        resized = {
+            frame: Detections(_moved(detections.boxes, self._in), detections.scores, detections.labels)
+            for frame, detections in detector.found.items()
         }
-        return FileDetector(moved)
+        return FileDetector(resized)
 
     def found(self, detections: Detections) -> Detections:
         """Detections in a smaller frame, in the source's pixels."""
@@ -154,27 +154,27 @@ class Resizing:
         metrics, events = map(self.metrics, outcome.metrics), map(self.event, outcome.events)
         return replace(outcome, metrics=Lines(born=tuple(metrics)), events=tuple(events))
 
-    def metrics(self, one: FrameMetrics) -> FrameMetrics:
+    def metrics(self, line: FrameMetrics) -> FrameMetrics:
         """Measurements of a target, in the source's pixels."""
         if self.is_none:
-            return one
+            return line
         return replace(
-            self.estimate(one),
-            map=self._box(one.map),
-            cloud=tuple((*map(round, self._box(box[:4])), *box[4:]) for box in one.cloud),
-            parts={name: self._part(part) for name, part in one.parts.items()},
+            self.estimate(line),
+            map=self._box(line.map),
+            cloud=tuple((*map(round, self._box(box[:4])), *box[4:]) for box in line.cloud),
+            parts={name: self._part(part) for name, part in line.parts.items()},
         )
 
-    def estimate(self, one: Estimate) -> Estimate:
+    def estimate(self, estimate: Estimate) -> Estimate:
         """Box, standard deviations and regions in the source's pixels."""
         if self.is_none:
-            return one
+            return estimate
         return replace(
-            one,
-            centre_box=self._box(one.centre_box),
-            sd=self._lengths(one.sd),
-            region50=self._region(one.region50),
-            region90=self._region(one.region90),
+            estimate,
+            centre_box=self._box(estimate.centre_box),
+            sd=self._lengths(estimate.sd),
+            region50=self._region(estimate.region50),
+            region90=self._region(estimate.region90),
         )
 
     def field(self, name: str, values: Floats) -> Floats:
@@ -198,9 +198,9 @@ class Resizing:
             case DistractorSeen():
                 return replace(event, x=self._x(event.x), y=self._y(event.y))
             case Reappeared():
-                x, y, moved = self._x(event.x), self._y(event.y), self._distance(event.moved_px)
-                within = None if event.within_px is None else self._distance(event.within_px)
-                return replace(event, x=x, y=y, moved_px=moved, within_px=within)
+                x, y, shift = self._x(event.x), self._y(event.y), self._distance(event.moved_px)
+                radius = None if event.within_px is None else self._distance(event.within_px)
+                return replace(event, x=x, y=y, moved_px=shift, within_px=radius)
             case FoundAgain():
                 return replace(event, moved_px=self._distance(event.moved_px))
             case _:
@@ -209,8 +209,8 @@ class Resizing:
     @property
     def _out(self) -> Floats:
         """The source's pixels to one tracked in, along x, y, x, y."""
-        across, down = (a / b for a, b in zip(self.source, self.tracked, strict=True))
-        return np.array([across, down, across, down])
+        scale_x, scale_y = (a / b for a, b in zip(self.source, self.tracked, strict=True))
+        return np.array([scale_x, scale_y, scale_x, scale_y])
 
     @property
     def _in(self) -> Floats:
@@ -239,8 +239,8 @@ class Resizing:
     def _part(self, part: PartMetrics) -> PartMetrics:
         return replace(part, centre_box=self._box(part.centre_box), sd=self._lengths(part.sd))
 
-    def _known(self, by: Recognition) -> Recognition:
-        return replace(by, distance_px=self._distance(by.distance_px))
+    def _known(self, recognition: Recognition) -> Recognition:
+        return replace(recognition, distance_px=self._distance(recognition.distance_px))
 
 
 def _smaller(image: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
@@ -251,6 +251,6 @@ def _smaller(image: NDArray[np.uint8], size: Size) -> NDArray[np.uint8]:
 
 def _moved(boxes: ArrayLike, factors: Floats) -> Floats:
     """Centre boxes (..., 4) in other pixels; the centre of pixel 0 is half a pixel from the border."""
-    given = np.asarray(boxes, dtype=np.float64)
+    corners = np.asarray(boxes, dtype=np.float64)
     shift = np.array([0.5, 0.5, 0.0, 0.0])
-    return np.asarray((given + shift) * factors - shift)
+    return np.asarray((corners + shift) * factors - shift)

@@ -96,17 +96,17 @@ def replay_inputs(path: Path, notice: Notice | None = None) -> InputsAt:
         JournalError: it is damaged; says file and line.
     """
     by_frame: dict[int, list[Input]] = {}
-    for one in read_inputs(path, notice):
-        by_frame.setdefault(one.frame, []).append(one)
-    known: Mapping[int, Sequence[Input]] = by_frame
-    return lambda frame: known.get(frame, ())
+    for entry in read_inputs(path, notice):
+        by_frame.setdefault(entry.frame, []).append(entry)
+    inputs: Mapping[int, Sequence[Input]] = by_frame
+    return lambda frame: inputs.get(frame, ())
 
 
-def as_inputs(given: str | PathLike[str] | InputsAt | None) -> InputsAt:
+def as_inputs(source: str | PathLike[str] | InputsAt | None) -> InputsAt:
     """A file as `replay_inputs`, a function as it is, nothing for None."""
-    if given is None:
+    if source is None:
         return nothing
-    return given if callable(given) else replay_inputs(Path(given))
+    return source if callable(source) else replay_inputs(Path(source))
 
 
 class Switchboard:
@@ -133,12 +133,12 @@ class Switchboard:
 
     def __call__(self, frame: int) -> Sequence[Input]:
         """All that was asked for since the last frame, in order."""
-        asked: list[Input] = []
+        requests: list[Input] = []
         while True:
             try:
-                asked.append(self._asked.get_nowait()(frame))
+                requests.append(self._asked.get_nowait()(frame))
             except Empty:
-                return tuple(asked)
+                return tuple(requests)
 
 
 class FrameSource(Protocol):

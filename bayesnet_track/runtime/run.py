@@ -69,7 +69,7 @@ class Resumed:
 class Checkpointer(Protocol):
     """A keeper of a run's position, so that the run can go on from there."""
 
-    def reached(self, now: RunPosition) -> None:
+    def reached(self, position: RunPosition) -> None:
         """A frame is done, and every sink was told of it."""
 
     def stopped(self) -> None:
@@ -124,7 +124,7 @@ def run(
     check_starts(graph, starts, source.width, source.height)
     totals = summary if summary is not None else Summary()
     resizing = Resizing.to(source.width, source.height, max_side)
-    placed = [resizing.start(one) for one in starts]
+    placed = [resizing.start(start) for start in starts]
     engine = engine or make_engine(resizing.graph(graph), seed)
 
     def emit(event: Event) -> None:
@@ -154,42 +154,44 @@ def run(
             kind = kind or FrameKind.of(item)
             kind.check(item, "end the source before it")
             began, compiled = time.perf_counter(), WATCH.seconds
-            seen = resizing.frame(item)
+            resized = resizing.frame(item)
             if state is None:
                 has_started = True
                 # What was found wrong before the first frame comes after the journal's first line.
-                started = _run_started(graph, engine, source, item, seed, inputs)
+                header = _run_started(graph, engine, source, item, seed, inputs)
                 if not resizing.is_none:
-                    started = replace(started, tracked=resizing.tracked)
-                for event in (started, *totals.notices):
+                    header = replace(header, tracked=resizing.tracked)
+                for event in (header, *totals.notices):
                     emit(event)
                 say_blank(item, starts)
-                given = external_inputs(item.index)
-                outcome = start_targets(graph, engine, seen, placed, given)
+                frame_inputs = external_inputs(item.index)
+                outcome = start_targets(graph, engine, resized, placed, frame_inputs)
             else:
-                given = external_inputs(item.index)
+                frame_inputs = external_inputs(item.index)
                 if deadline is not None:
-                    given = (*given, *deadline.inputs_for(item.index, state.net))
+                    frame_inputs = (*frame_inputs, *deadline.inputs_for(item.index, state.net))
                     deadline.begin()
-                outcome = step(engine, state, seen, given)
+                outcome = step(engine, state, resized, frame_inputs)
                 if deadline is not None:
                     deadline.end()
-            before, state = state, outcome.state
+            previous, state = state, outcome.state
             outcome = resizing.outcome(outcome)
             spent = time.perf_counter() - began - (WATCH.seconds - compiled)
             for event in outcome.events:
                 emit(event)
-            if before is None:
+            if previous is None:
                 check_started(graph, outcome)
-            result = _result(item, outcome, spent, before, tuple(graph.targets))
+            result = _result(item, outcome, spent, previous, tuple(graph.targets))
             totals.add(result)
             for sink in sinks:
                 sink.frame(result)
             if first_done is None:
                 first_done = _at_work(), totals.frames
             if checkpointer is not None:
-                now = RunPosition(seen, state, totals.frames, totals.reconfigurations, totals.lost_frames)
-                checkpointer.reached(now)
+                position = RunPosition(
+                    resized, state, totals.frames, totals.reconfigurations, totals.lost_frames
+                )
+                checkpointer.reached(position)
             try:
                 yield result
             except GeneratorExit:
@@ -218,10 +220,10 @@ def _at_work() -> float:
 
 
 def _result(
-    frame: Frame, outcome: Outcome, spent: float, before: State | None, plates: tuple[str, ...]
+    frame: Frame, outcome: Outcome, spent: float, previous: State | None, plates: tuple[str, ...]
 ) -> Result:
     # Who ended in this frame was live in it.
-    nets = {**(before.net.targets if before is not None else {}), **outcome.state.net.targets}
+    nets = {**(previous.net.targets if previous is not None else {}), **outcome.state.net.targets}
     decisions = tuple(event for event in outcome.events if isinstance(event, Decision))
     return Result(
         frame,
@@ -236,7 +238,7 @@ def _result(
         outcome.heard,
         outcome.state.history.births,
         plates,
-        {one.query: one for one in outcome.answers},
+        {answer.query: answer for answer in outcome.answers},
     )
 
 

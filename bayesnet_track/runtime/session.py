@@ -78,8 +78,8 @@ def prepare_at_call(
     """
 
     @wraps(make)
-    def prepare(*args: P.args, **more: P.kwargs) -> Generator[Result, None, None]:
-        results = make(*args, **more)
+    def prepare(*args: P.args, **kwargs: P.kwargs) -> Generator[Result, None, None]:
+        results = make(*args, **kwargs)
         next(results)
         return cast(Generator[Result, None, None], results)
 
@@ -200,11 +200,11 @@ def track(
     if budget_ms is not None and inputs is not None and not callable(inputs):
         raise ValueError("a run that is repeated from its inputs has no budget: they say what was late")
     with ExitStack() as stack:
-        again = None if callable(inputs) else inputs
+        replayed = None if callable(inputs) else inputs
         check_named(checked, source, detections)
         files_given = named_files(detections)
-        check_steady = stack.enter_context(steady([*model_files(checked), *files_given.values(), again]))
-        read = {str(one): file_sha256(one) for one in files_given.values()}
+        check_steady = stack.enter_context(steady([*model_files(checked), *files_given.values(), replayed]))
+        read = {str(path): file_sha256(path) for path in files_given.values()}
         external_inputs = as_inputs(inputs)
         how: dict[str, Any] = {
             "allow_network": allow_network,
@@ -213,48 +213,51 @@ def track(
             "value_range": value_range,
         }
         named: Any = detections
-        own: Any = source if checked.several_cameras else source_or_times(cast(Any, source), checked, named)
+        frames: Any = (
+            source if checked.several_cameras else source_or_times(cast(Any, source), checked, named)
+        )
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        if checked.several_cameras and not isinstance(own, SeveralSources):
-            opened: FrameSource = stack.enter_context(open_cameras(checked, own, named, executing, **how))
-        elif isinstance(own, str | PathLike):
-            opened = stack.enter_context(open_source(str(own), **how))
+        if checked.several_cameras and not isinstance(frames, SeveralSources):
+            opened: FrameSource = stack.enter_context(open_cameras(checked, frames, named, executing, **how))
+        elif isinstance(frames, str | PathLike):
+            opened = stack.enter_context(open_source(str(frames), **how))
         elif stride != 1 or live is not None or value_range is not None:
-            usual = {
+            defaults = {
                 "stride": stride == 1,
                 "live": live is None,
                 "value_range": value_range is None,
             }
-            option = next(name for name, is_usual in usual.items() if not is_usual)
+            option = next(name for name, is_usual in defaults.items() if not is_usual)
             raise ValueError(f"{option} is for a source that is opened here; this one is open already")
-        elif not hasattr(own, "width"):
+        elif not hasattr(frames, "width"):
             raise TypeError(
-                f"track: a source of type {type(own).__name__}; allowed: the path of a video, a folder or "
+                f"track: a source of type {type(frames).__name__}; allowed: the path of a video, a folder or "
                 "a pattern of images, or what open_source gives; for frames in memory use Tracker.init and "
                 "update"
             )
         else:
-            opened = own
+            opened = frames
         check_given(checked, starts, opened.width, opened.height)
         resizing = resizing_of(opened, max_side)
         for start in starts:
             resizing.start(start)  # raises before anything is written
-        seen = resizing.graph(checked)
+        resized = resizing.graph(checked)
         detectors = {
-            camera: resizing.detector(given_detector(seen, Path(one))) for camera, one in files_given.items()
+            camera: resizing.detector(given_detector(resized, Path(path)))
+            for camera, path in files_given.items()
         }
-        engine = prepare_engine(seen, seed, motion, by_engine_names(detectors))
-        given: list[GivenFrames] = []
-        check_scans(seen, engine, opened, detectors.get(""), files_given.get(""), bool(video))
+        engine = prepare_engine(resized, seed, motion, by_engine_names(detectors))
+        given_frames: list[GivenFrames] = []
+        check_scans(resized, engine, opened, detectors.get(""), files_given.get(""), bool(video))
         for camera, detector in detectors.items():
             if isinstance(detector, FileDetector):
                 camera_source = source_of(opened, camera)
                 read_frames = GivenFrames(Path(files_given[camera]), detector.found, frames_of(camera_source))
                 read_frames.say(
-                    seen, (camera_source.width, camera_source.height) if camera else resizing.tracked
+                    resized, (camera_source.width, camera_source.height) if camera else resizing.tracked
                 )
-                given.append(read_frames)
-        say_unused_by_cues(seen, opened)
+                given_frames.append(read_frames)
+        say_unused_by_cues(resized, opened)
         check_depth(engine, opened)
         if video and executing.hosts != "engine":
             raise ValueError(
@@ -270,8 +273,8 @@ def track(
             stack.enter_context(lock_run(directory))
             settle(directory)
             directory.refuse(overwrite)  # before the lock was taken, another process could have written here
-            asked = {"beliefs": keep_beliefs, "hypotheses": all_hypotheses, "csv": tracks_csv}
-            asked["mp4"] = video == "mp4"
+            requested = {"beliefs": keep_beliefs, "hypotheses": all_hypotheses, "csv": tracks_csv}
+            requested["mp4"] = video == "mp4"
             recipe = make_recipe(
                 checked,
                 opened,
@@ -280,11 +283,11 @@ def track(
                 detections=files_given,
                 has_video=bool(video),
                 own_motion=motion is not None,
-                inputs=again,
+                inputs=replayed,
                 options=options_of(
                     engine,
                     budget_ms,
-                    {name for name, is_asked in asked.items() if is_asked},
+                    {name for name, is_asked in requested.items() if is_asked},
                     horizon,
                     max_side,
                     video_side,
@@ -310,7 +313,7 @@ def track(
             if checkpointer is not None:
                 stack.enter_context(checkpointer)
         yield None
-        last: int | None = None
+        last_index: int | None = None
         for result in run(
             checked,
             opened,
@@ -325,11 +328,11 @@ def track(
             checkpointer=checkpointer,
             max_side=max_side,
         ):
-            last = result.frame.index
+            last_index = result.frame.index
             yield result
-        if last is not None and not checked.several_cameras:
-            for read_frames in given:
-                read_frames.say_at_end(last)
+        if last_index is not None and not checked.several_cameras:
+            for read_frames in given_frames:
+                read_frames.say_at_end(last_index)
         if recorder is not None and totals.frames:
             finish(directory, recorder.finish(), files)
 

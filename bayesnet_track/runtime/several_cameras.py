@@ -40,7 +40,7 @@ def blank_image(width: int, height: int) -> NDArray[np.uint8]:
     return image
 
 
-def check_cameras(graph: CheckedGraph, given: Any, what: str) -> None:
+def check_cameras(graph: CheckedGraph, named: Any, noun: str) -> None:
     """Check that what is given is a mapping with names of cameras of the graph.
 
     Raises:
@@ -48,21 +48,21 @@ def check_cameras(graph: CheckedGraph, given: Any, what: str) -> None:
         ValueError: a name is none of a camera of the graph, or there is none at all.
     """
     names = ", ".join(graph.several_cameras)
-    example = f'{{"{next(iter(graph.several_cameras))}": {what}, ...}}'
-    if not isinstance(given, Mapping):
+    example = f'{{"{next(iter(graph.several_cameras))}": {noun}, ...}}'
+    if not isinstance(named, Mapping):
         raise TypeError(
-            f"the graph {graph.spec.name} has the cameras {names}: {what} are given for each that has a "
-            f"frame, {example}, not as {type(given).__name__}"
+            f"the graph {graph.spec.name} has the cameras {names}: {noun} are given for each that has a "
+            f"frame, {example}, not as {type(named).__name__}"
         )
-    for name in given:
+    for name in named:
         if name not in graph.several_cameras:
-            close = nearest(str(name), graph.several_cameras)
+            suggestion = nearest(str(name), graph.several_cameras)
             raise ValueError(
-                f"{what} of {name!r}, which is no camera of the graph; there are {names}"
-                + (f"; nearest: {close}" if close else "")
+                f"{noun} of {name!r}, which is no camera of the graph; there are {names}"
+                + (f"; nearest: {suggestion}" if suggestion else "")
             )
-    if not given:
-        raise ValueError(f"{what} of no camera; give those of each that has a frame, {example}")
+    if not named:
+        raise ValueError(f"{noun} of no camera; give those of each that has a frame, {example}")
 
 
 def sizes_of(graph: CheckedGraph, size: Any) -> dict[str, Size]:
@@ -76,7 +76,9 @@ def sizes_of(graph: CheckedGraph, size: Any) -> dict[str, Size]:
     if isinstance(size, Mapping):
         check_cameras(graph, size, "sizes")
         each = {name: size.get(name) for name in graph.several_cameras}
-    sizes = {name: each[name] or of or USUAL_SIZE for name, of in graph.several_cameras.items()}
+    sizes = {
+        name: each[name] or calibrated or USUAL_SIZE for name, calibrated in graph.several_cameras.items()
+    }
     check_sizes(graph, sizes)
     return sizes
 
@@ -105,56 +107,56 @@ class CamerasFed:
     @property
     def detectors(self) -> dict[str, Fed]:
         """The detectors by the names that an engine has for them."""
-        return {of_camera(GIVEN, camera): one for camera, one in self.fed.items()}
+        return {of_camera(GIVEN, camera): detector for camera, detector in self.fed.items()}
 
     def read(self, detections: Any) -> dict[str, GivenDetections]:
         """Camera that has a frame -> its usable detections; raises as `check_cameras` and `read_given`."""
         check_cameras(self.graph, detections, "detections")
-        given = {}
-        for camera, one in detections.items():
+        usable = {}
+        for camera, boxes in detections.items():
             name = of_camera("detections", camera)
             try:
-                given[camera] = read_given(one, self.graph, name).inside(*self.sizes[camera])
+                usable[camera] = read_given(boxes, self.graph, name).inside(*self.sizes[camera])
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{camera}: {error}") from None
-        return given
+        return usable
 
     @property
     def first_size(self) -> Size:
         """Width and height of the first camera's images, px."""
         return next(iter(self.sizes.values()))
 
-    def frame(self, step: Frame, given: Mapping[str, GivenDetections]) -> Frame:
+    def frame(self, step: Frame, usable: Mapping[str, GivenDetections]) -> Frame:
         """The step with a frame of each camera whose detections are given: what its detector finds in it."""
         cameras = {}
         for camera, size in self.sizes.items():
-            if camera in given:
-                self.fed[camera].now = given[camera].detections
+            if camera in usable:
+                self.fed[camera].now = usable[camera].detections
                 cameras[camera] = replace(step, image=blank_image(*size))
         return replace(step, cameras=cameras)
 
 
 def mark(
     detections: Mapping[str, Any],
-    given: Mapping[str, GivenDetections],
+    usable: Mapping[str, GivenDetections],
     engine: Engine,
     state: State,
     owners: Any,
 ) -> dict[str, Any]:
     """Copies of the detections of each camera with `tracker_id`, as `owners` finds them by their shares."""
     marked = {}
-    for camera, one in given.items():
-        ids: NDArray[np.int64] = np.full(one.count, -1, dtype=np.int64)
-        scan = Scan(one.detections.boxes, one.detections.scores)
+    for camera, boxes in usable.items():
+        ids: NDArray[np.int64] = np.full(boxes.count, -1, dtype=np.int64)
+        scan = Scan(boxes.detections.boxes, boxes.detections.scores)
         agents = {
             agent
             for compiled in engine.plates.values()
-            for agent, own in compiled.cameras.items()
-            if own == camera
+            for agent, seen_by in compiled.cameras.items()
+            if seen_by == camera
         }
         for agent in sorted(agents):
-            found = owners(state, agent, scan, one.rows, one.count)
-            ids = np.where(ids < 0, found, ids)
+            owner_ids = owners(state, agent, scan, boxes.rows, boxes.count)
+            ids = np.where(ids < 0, owner_ids, ids)
         marked[camera] = copy.copy(detections[camera])
         marked[camera].tracker_id = ids
     return marked
@@ -169,14 +171,14 @@ def check_named(graph: CheckedGraph, source: object, detections: object) -> None
     Raises:
         TypeError, ValueError: as of `check_cameras`; or the graph has not several cameras.
     """
-    for what, given in (("sources", source), ("detections", detections)):
-        if given is None or isinstance(given, SeveralSources):
+    for noun, named in (("sources", source), ("detections", detections)):
+        if named is None or isinstance(named, SeveralSources):
             continue
         if graph.several_cameras:
-            check_cameras(graph, given, what)
-        elif isinstance(given, Mapping):
+            check_cameras(graph, named, noun)
+        elif isinstance(named, Mapping):
             raise ValueError(
-                f"{what} of {', '.join(map(str, given))}: the graph {graph.spec.name} has not several "
+                f"{noun} of {', '.join(map(str, named))}: the graph {graph.spec.name} has not several "
                 "cameras; allowed: one, without a name"
             )
 
@@ -212,11 +214,11 @@ def open_cameras(
                 f"has {', '.join(graph.several_cameras)}"
             )
         text = str(files[camera])
-        other = texts.setdefault(str(Path(text).absolute()), camera)
-        if other != camera:
+        first_camera = texts.setdefault(str(Path(text).absolute()), camera)
+        if first_camera != camera:
             raise SourceError(
                 text,
-                f"the source of two cameras, {other} and {camera}: its evidence would count twice",
+                f"the source of two cameras, {first_camera} and {camera}: its evidence would count twice",
                 "a source of its own for each camera",
                 "give each camera once",
             )
@@ -233,16 +235,18 @@ def open_cameras(
     merged = SeveralSources.opened(openers, start, end)
     with ExitStack() as stack:
         stack.callback(merged.close)
-        check_sizes(graph, {camera: (one.width, one.height) for camera, one in merged.sources.items()})
+        check_sizes(
+            graph, {camera: (source.width, source.height) for camera, source in merged.sources.items()}
+        )
         stack.pop_all()
     return merged
 
 
-def named_files(given: str | PathLike[str] | Named | None) -> dict[str, str | PathLike[str]]:
+def named_files(files: str | PathLike[str] | Named | None) -> dict[str, str | PathLike[str]]:
     """Camera -> its file, in the order given; "" of a file that is of one image."""
-    if given is None:
+    if files is None:
         return {}
-    return dict(given) if isinstance(given, Mapping) else {"": given}
+    return dict(files) if isinstance(files, Mapping) else {"": files}
 
 
 def by_engine_names(detectors: Mapping[str, Any]) -> dict[str, Any]:

@@ -192,12 +192,12 @@ def _with_answers(
     """
     spec = run.spec
     inputs = names_of_inputs(spec.inputs)
-    every = (
+    compiled_queries = (
         compile_query(name, query, numbers_of_kinds(spec, query.kinds), inputs)
         for name, query in spec.queries.items()
         if query.crosses is None
     )
-    queries = [compiled for compiled in every if not compiled.reads_inputs]
+    queries = [compiled for compiled in compiled_queries if not compiled.reads_inputs]
     modes = {kind: modes_of(root_of(target)) for kind, target in spec.targets.items()}
     if not queries:
         yield from metrics
@@ -339,8 +339,8 @@ def moves_of(run: Run, lifetime: Sequence[KeptBelief]) -> list[Move]:
     moves = []
     for earlier, later in pairwise(lifetime):
         times = later.time * second, earlier.time * second
-        known = {"t": later.time, **values_at(inputs, (later.frame, earlier.frame), times)}
-        moves.append(Move(motion_into(later, plain, root.motion, size, known), later.time - earlier.time))
+        numbers = {"t": later.time, **values_at(inputs, (later.frame, earlier.frame), times)}
+        moves.append(Move(motion_into(later, plain, root.motion, size, numbers), later.time - earlier.time))
     return moves
 
 

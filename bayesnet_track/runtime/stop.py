@@ -105,11 +105,11 @@ class StopRequest:
 
     def _handle(self) -> None:
         for number in SIGNALS:
-            before = signal.getsignal(number)
+            handler = signal.getsignal(number)
             # An ignored signal stays ignored, as a shell wants it of what runs in the background, and a
             # handler that was not set by Python is left alone, since it could not be put back.
-            if before is not None and before is not signal.SIG_IGN:
-                self._before[number] = before
+            if handler is not None and handler is not signal.SIG_IGN:
+                self._before[number] = handler
                 signal.signal(number, self._act)
 
     def _leave(self) -> None:
@@ -123,8 +123,8 @@ class StopRequest:
         self._arrivals.close()
         self._arrived.close()
         sys.unraisablehook, sys.excepthook = self._hooks
-        for number, before in self._before.items():
-            signal.signal(number, before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def _act(self, number: int, frame: FrameType | None) -> None:
         is_repeat, self._is_repeat = self._is_repeat, False
@@ -154,10 +154,10 @@ class StopRequest:
             pass  # a signal that others handle
         return number
 
-    def _given_up(self, what: sys.UnraisableHookArgs) -> None:
+    def _given_up(self, error: sys.UnraisableHookArgs) -> None:
         """Once interrupted, other errors are silent, too: what is left half made complains when it goes."""
         if not self._has_raised:
-            self._hooks[0](what)
+            self._hooks[0](error)
 
     def _printed(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         """C code prints so what it gives up (that of NumPy's `import_array` does)."""
@@ -207,8 +207,8 @@ def closed_at_exit(
     """A generator function whose generators are closed when the program ends before they do."""
 
     @wraps(make)
-    def remembered(*args: P.args, **more: P.kwargs) -> Generator[Item, None, None]:
-        results = make(*args, **more)
+    def remembered(*args: P.args, **kwargs: P.kwargs) -> Generator[Item, None, None]:
+        results = make(*args, **kwargs)
         OPEN.add(results)
         return results
 
@@ -254,9 +254,9 @@ def lacking() -> Iterator[str]:
 
 def describe_missing() -> str:
     """One sentence for who begins a run here; empty on the system that is tested."""
-    here = (platform.system(), platform.machine())
+    machine = (platform.system(), platform.machine())
     missing = ", ".join(lacking())
-    if here == TESTED and not missing:
+    if machine == TESTED and not missing:
         return ""
-    name = " ".join(part for part in here if part) or sys.platform
+    name = " ".join(part for part in machine if part) or sys.platform
     return f"{name} is not tested ({' '.join(TESTED)} is); missing here: {missing or 'nothing that is known'}"

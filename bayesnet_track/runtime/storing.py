@@ -245,19 +245,19 @@ def unpack(data: bytes, kind: str, own_graph: CheckedGraph | None = None) -> Sto
     return Stored(graph, options, body[size:])
 
 
-def _check_file(what: str, path: str, sha256: str) -> None:
+def _check_file(noun: str, path: str, sha256: str) -> None:
     """Refuse a file that a stored tracker needs, and that is gone or another."""
     try:
-        found = file_sha256(path)
+        actual = file_sha256(path)
     except OSError as error:
         reason = error.strerror or str(error)
-        other = "" if what == "model" else ", or load with a graph that has it (graph=..)"
+        advice = "" if noun == "model" else ", or load with a graph that has it (graph=..)"
         raise StoredError(
-            f"the {what} {path}, which the tracker was stored with, cannot be read: {reason}; "
-            f"put it back{other}"
+            f"the {noun} {path}, which the tracker was stored with, cannot be read: {reason}; "
+            f"put it back{advice}"
         ) from error
-    if found != sha256:
-        raise StoredError(f"the {what} {path} is not what it was when the tracker was stored")
+    if actual != sha256:
+        raise StoredError(f"the {noun} {path} is not what it was when the tracker was stored")
 
 
 def _first_line() -> bytes:

@@ -274,10 +274,12 @@ class Tracker(HasBox, Storable):
             standing.state.history.births,
         )
         return tuple(
-            standing.resizing.estimate(ahead)
+            standing.resizing.estimate(expected)
             for line in standing.metrics
             if line.target in states
-            for ahead in forecast(self._engine, states[line.target], births[line.target], line, frames, size)
+            for expected in forecast(
+                self._engine, states[line.target], births[line.target], line, frames, size
+            )
         )
 
     def plot(self, frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -369,9 +371,9 @@ def _live(standing: Standing) -> Iterator[tuple[str, tuple[float, ...]]]:
     return ((target, box) for target, box in targets if target in live)
 
 
-def _first_line(now: Standing) -> FrameMetrics | None:
-    live = now.state.net.targets
-    return next((line for line in now.metrics if line.target in live), None)
+def _first_line(standing: Standing) -> FrameMetrics | None:
+    live = standing.state.net.targets
+    return next((line for line in standing.metrics if line.target in live), None)
 
 
 def _picture(image: NDArray[np.uint8], levels: Levels) -> tuple[NDArray[np.uint8], bool]:
@@ -389,7 +391,7 @@ def _frame(
     if copies and np.may_share_memory(picture, image):
         picture = picture.copy()  # the caller may reuse its buffer, and the next step looks at it again
     if depth is not None:
-        other = depth.image if isinstance(depth, RightEye) else depth.points
-        if other.shape != picture.shape:
-            raise ValueError(f"depth of shape {other.shape} does not fit a picture of {picture.shape}")
+        second = depth.image if isinstance(depth, RightEye) else depth.points
+        if second.shape != picture.shape:
+            raise ValueError(f"depth of shape {second.shape} does not fit a picture of {picture.shape}")
     return Frame(clock.index, clock.time, picture, has_color, clock.time_s, depth)

@@ -41,7 +41,7 @@ def describe_fault(name: object) -> str | None:
 
 
 def mend_names(
-    names: Iterable[str], is_others: Callable[[str, str], bool] = lambda name, new: False
+    names: Iterable[str], is_others: Callable[[str, str], bool] = lambda name, candidate: False
 ) -> dict[str, str]:
     """Bad name -> the name in its place, of those that have a fault. Two names never become one.
 
@@ -54,12 +54,12 @@ def mend_names(
     {'ball\\xa01': 'ball 2', '\\tcar  1': 'car 1', '': 'target 1'}
     """
     distinct = dict.fromkeys(names)
-    used = {name for name in distinct if describe_fault(name) is None}
+    reserved = {name for name in distinct if describe_fault(name) is None}
     mended = {}
     for name in distinct:
-        if name not in used:
-            mended[name] = _find_free(_tidy(name), partial(_is_taken, name, used, is_others))
-            used.add(mended[name])
+        if name not in reserved:
+            mended[name] = _find_free(_tidy(name), partial(_is_taken, name, reserved, is_others))
+            reserved.add(mended[name])
     return mended
 
 
@@ -101,8 +101,8 @@ def _printable(letter: str) -> str:
     return " " if letter.isspace() or unicodedata.category(letter) == "Cc" else ""
 
 
-def _is_taken(name: str, used: set[str], is_others: Callable[[str, str], bool], candidate: str) -> bool:
-    return candidate in used or is_others(name, candidate)
+def _is_taken(name: str, reserved: set[str], is_others: Callable[[str, str], bool], candidate: str) -> bool:
+    return candidate in reserved or is_others(name, candidate)
 
 
 def _find_free(name: str, is_taken: Callable[[str], bool]) -> str:

@@ -62,17 +62,17 @@ def write_tracks(queue: IdentityQueue, mot: str, folder: Path) -> int:
     ]
     lines, left_out = [], 0
     for line in mot.splitlines():
-        frame, number, rest = line.split(",", 2)
+        frame, number, box_text = line.split(",", 2)
         name = rows[of_number[int(number)]].get(int(frame) - 1, "")
         if not name:
             left_out += 1
             continue
         identity = numbers.setdefault(name, len(numbers) + 1)
-        lines.append(f"{frame},{identity},{rest}\n")
+        lines.append(f"{frame},{identity},{box_text}\n")
     table = ["target,first_frame,last_frame,identity\n"]
     table += [
-        f"{_cell(target)},{first},{last},{_cell(name)}\n"
-        for target, first, last, name in spans_of(queue, labels)
+        f"{_cell(target)},{first},{final},{_cell(name)}\n"
+        for target, first, final, name in spans_of(queue, labels)
     ]
     write_atomically(folder / "tracks.txt", "".join(lines).encode())
     write_atomically(folder / "identities.csv", "".join(table).encode())
@@ -105,17 +105,17 @@ def open_answers(path: Path, run_sha256: str, queue: IdentityQueue) -> LineFile:
     if json_object(lines[0]) != json.loads(header):
         raise IdentityFileError(f"{path}, line 1: these are no answers about this run; give another folder")
     is_torn = not data.endswith(b"\n")
-    kept = lines[1:-1] if is_torn else lines[1:]
-    give_lines(queue, kept, str(path), 2)
+    answers = lines[1:-1] if is_torn else lines[1:]
+    give_lines(queue, answers, str(path), 2)
     if is_torn:
-        text = "".join(f"{line}\n" for line in [lines[0], *kept])
+        text = "".join(f"{line}\n" for line in [lines[0], *answers])
         write_atomically(path, text.encode())
     return LineFile(path, after=path.stat().st_size)
 
 
 def give_lines(queue: IdentityQueue, lines: Sequence[str], name: str, first: int = 1) -> list[IdentityAnswer]:
     """Give the answers of lines of JSON; raises IdentityFileError with file and line."""
-    given = []
+    answers = []
     for number, line in enumerate(lines, first):
         if not line.strip():
             continue
@@ -126,10 +126,10 @@ def give_lines(queue: IdentityQueue, lines: Sequence[str], name: str, first: int
                 '{"frame": 120, "target": "4", "answer": "swap", "other": "9"}'
             )
         try:
-            given.append(queue.give(message))
+            answers.append(queue.give(message))
         except IdentityAnswerError as error:
             raise IdentityFileError(f"{name}, line {number}: {error}") from error
-    return given
+    return answers
 
 
 def json_object(line: str) -> dict[str, Any] | None:
@@ -201,12 +201,12 @@ class IdentityServer:
         self,
         queue: IdentityQueue,
         file: LineFile,
-        about: Mapping[str, Any],
-        most: int,
+        header: Mapping[str, Any],
+        limit: int,
         pictures: Pictures,
         address: tuple[str, int | None] = ("127.0.0.1", None),
     ) -> None:
-        self._queue, self._file, self._about, self._most = queue, file, about, most
+        self._queue, self._file, self._about, self._most = queue, file, header, limit
         self._pictures, self._news = pictures, threading.Condition()
         self._version, self._is_left, self._is_closed = 1, False, False
         self._body: dict[str, Any] = {}
@@ -274,42 +274,42 @@ class IdentityServer:
             "answers": len(self._queue.in_force),
             "changed": self._queue.changed,
             "left_over": len(questions),
-            "questions": [self._shown(one) for one in questions[: self._most]],
+            "questions": [self._shown(question) for question in questions[: self._most]],
         }
 
     def _shown(self, question: Question) -> dict[str, Any]:
         """A question with the boxes of all that it is about, around the doubtful frames."""
-        ends = [one.frame for one in question.candidates if one.frame is not None]
-        first, last = max(min(ends, default=question.frame) - AROUND, 0), question.frame + AROUND
-        names = dict.fromkeys([question.target, *(one.target for one in question.candidates)])
+        ends = [candidate.frame for candidate in question.candidates if candidate.frame is not None]
+        first, final = max(min(ends, default=question.frame) - AROUND, 0), question.frame + AROUND
+        names = dict.fromkeys([question.target, *(candidate.target for candidate in question.candidates)])
         boxes = {
-            path.target: _boxes_of(path, first, last)
+            path.target: _boxes_of(path, first, final)
             for path in self._queue.tracklets.paths
             if path.target in names
         }
         tracklets = self._queue.tracklets
-        own = tracklets.before(tracklets.starts[question.target, question.frame])
+        continued = tracklets.before(tracklets.starts[question.target, question.frame])
         return {
             "target": question.target,
             "frame": question.frame,
             "first": first,
-            "last": last,
+            "last": final,
             "shown": question.shown,
             "swap": question.swap,
-            "keep": own is not None,
+            "keep": continued is not None,
             "doubt": question.doubt,
             "candidates": [
-                {"target": one.target, "probability": one.probability, "frame": one.frame}
-                for one in question.candidates
+                {"target": candidate.target, "probability": candidate.probability, "frame": candidate.frame}
+                for candidate in question.candidates
             ],
             "boxes": boxes,
         }
 
 
-def _boxes_of(path: TrackPath, first: int, last: int) -> list[list[float] | None]:
-    """The corner boxes of a path in frames `first` to `last`, where it is shown."""
-    boxes: list[list[float] | None] = [None] * (last - first + 1)
-    low, high = np.searchsorted(path.frame, [first, last + 1]).tolist()
+def _boxes_of(path: TrackPath, first: int, final: int) -> list[list[float] | None]:
+    """The corner boxes of a path in frames `first` to `final`, where it is shown."""
+    boxes: list[list[float] | None] = [None] * (final - first + 1)
+    low, high = np.searchsorted(path.frame, [first, final + 1]).tolist()
     for row in range(low, high):
         if path.shown[row]:
             x, y, w, h = path.boxes[row].tolist()

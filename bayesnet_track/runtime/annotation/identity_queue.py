@@ -92,9 +92,9 @@ class Question:
     def describe(self) -> str:
         """A line for a terminal."""
         shares = ", ".join(
-            f"{one.target if one.frame is None else f'target {one.target} until frame {one.frame}'} "
-            f"{one.probability:.2f}"
-            for one in self.candidates[:3]
+            f"{entry.target if entry.frame is None else f'target {entry.target} until frame {entry.frame}'} "
+            f"{entry.probability:.2f}"
+            for entry in self.candidates[:3]
         )
         return f"frame {self.frame}, target {self.target}: who was it before? {shares}"
 
@@ -116,7 +116,7 @@ class Tracklets:
     @classmethod
     def of_run(cls, run: Run) -> Tracklets:
         """Cut the tracks of a run, and weigh their links by motion, and by what the run itself says."""
-        found = courses(run.metrics, ("box", "status"))
+        by_target = courses(run.metrics, ("box", "status"))
         paths = tuple(
             TrackPath(
                 target,
@@ -124,7 +124,7 @@ class Tracklets:
                 np.asarray(course.block.columns["box"], dtype=np.float64).T,
                 ~course.is_gone,
             )
-            for target, course in found.items()
+            for target, course in by_target.items()
             if len(course)
         )
         return cls.of(paths, (run.started.width, run.started.height), run.events)
@@ -134,8 +134,8 @@ class Tracklets:
         """The same of paths; `events` are those of the run."""
         pieces = cut(paths)
         links = find_links(pieces, measure_spreads(paths, pieces), size)
-        made = cls(tuple(paths), tuple(pieces), links)
-        return cls(made.paths, made.pieces, made._weighed(events))
+        unweighed = cls(tuple(paths), tuple(pieces), links)
+        return cls(unweighed.paths, unweighed.pieces, unweighed._weighed(events))
 
     @cached_property
     def starts(self) -> Mapping[tuple[str, int], int]:
@@ -145,10 +145,10 @@ class Tracklets:
     @cached_property
     def of_target(self) -> Mapping[str, tuple[int, ...]]:
         """Target -> its tracklets in order."""
-        found: dict[str, list[int]] = {}
+        numbers: dict[str, list[int]] = {}
         for k in range(len(self.pieces)):
-            found.setdefault(self.target(k), []).append(k)
-        return {target: tuple(own) for target, own in found.items()}
+            numbers.setdefault(self.target(k), []).append(k)
+        return {target: tuple(tracklets) for target, tracklets in numbers.items()}
 
     def target(self, k: int) -> str:
         """The run's target of a tracklet."""
@@ -173,29 +173,31 @@ class Tracklets:
         for event in events:
             if isinstance(event, IdentityDoubtful):
                 ratio = np.log(max(event.probability, 1e-9)) - np.log(max(event.keeps, 1e-9))
-                since = event.since
+                last_plain = event.since
             elif isinstance(event, Returned):
                 share = event.recognition.probability
                 ratio = np.log(max(event.recognition.rival_probability, 1e-9)) - np.log(max(share, 1e-9))
-                since = event.frame - 1
+                last_plain = event.frame - 1
             else:
                 continue
-            other = event.other if isinstance(event, IdentityDoubtful) else event.recognition.rival
-            start = self._start_after(event.target, since, event.frame)
-            if start is None or (own := self.before(start)) is None:
+            rival = event.other if isinstance(event, IdentityDoubtful) else event.recognition.rival
+            start = self._start_after(event.target, last_plain, event.frame)
+            if start is None or (previous := self.before(start)) is None:
                 continue
-            end = self.end_of(other, self.pieces[start].frames[0])
-            row, cross = place[own, start], place.get((end, start)) if end is not None else None
+            end = self.end_of(rival, self.pieces[start].frames[0])
+            row, cross = place[previous, start], place.get((end, start)) if end is not None else None
             if cross is not None:
                 mutual = isinstance(event, IdentityDoubtful) and event.mutual
                 ratio = float(np.clip(ratio, -MOST_ODDS, MOST_ODDS))
                 log_odds[cross] = log_odds[row] + ratio / (2.0 if mutual else 1.0)
         return Links(self.links.ends, self.links.starts, log_odds, self.links.count)
 
-    def _start_after(self, target: str, since: int, frame: int) -> int | None:
-        """The last start of a target that is plain after `since`, and begun until `frame`."""
-        own = [k for k in self.of_target.get(target, ()) if since < self.pieces[k].frames[0] <= frame + 2]
-        return own[-1] if own else None
+    def _start_after(self, target: str, last_plain: int, frame: int) -> int | None:
+        """The last start of a target that is plain after `last_plain`, and begun until `frame`."""
+        tracklets = [
+            k for k in self.of_target.get(target, ()) if last_plain < self.pieces[k].frames[0] <= frame + 2
+        ]
+        return tracklets[-1] if tracklets else None
 
 
 @dataclass(eq=False)
@@ -224,7 +226,7 @@ class IdentityQueue:
 
     @property
     def posterior(self) -> Posterior:
-        """Who goes on as whom, given the answers."""
+        """Posterior of who goes on as whom, given the answers."""
         if self._posterior is None:
             self._posterior = infer(self.tracklets.links, self._given())
         return self._posterior
@@ -245,82 +247,86 @@ class IdentityQueue:
             raise IdentityAnswerError(f"answer {kind!r}: one of {', '.join(KINDS)} is needed")
         if kind == "undo":
             return IdentityAnswer("undo")
-        frame, target, other = (message.get(name, "") for name in ("frame", "target", "other"))
-        if type(frame) is not int or not isinstance(target, str) or not isinstance(other, str):
+        frame, target, partner = (message.get(name, "") for name in ("frame", "target", "other"))
+        if type(frame) is not int or not isinstance(target, str) or not isinstance(partner, str):
             raise IdentityAnswerError("frame is a whole number, target and other are texts")
         start = self.tracklets.starts.get((target, frame))
         if start is None:
             raise IdentityAnswerError(self._no_start(target, frame))
-        own = self.tracklets.before(start)
-        if kind in ("keep", "swap") and own is None:
+        previous = self.tracklets.before(start)
+        if kind in ("keep", "swap") and previous is None:
             raise IdentityAnswerError(
                 f"target {target} begins in frame {frame}: it is new, or the same as another one"
             )
-        if kind == "swap" and not other:
-            other = self._partner(start)
-            if not other:
+        if kind == "swap" and not partner:
+            partner = self._partner(start)
+            if not partner:
                 raise IdentityAnswerError(f"target {target}, frame {frame}: with whom? Name it as other")
         if kind not in ("swap", "same"):
             return IdentityAnswer(kind, frame, target)
-        if self.tracklets.end_of(other, frame) is None:
+        if self.tracklets.end_of(partner, frame) is None:
             raise IdentityAnswerError(
-                f"other {other!r}: no target of that name is there before frame {frame}"
+                f"other {partner!r}: no target of that name is there before frame {frame}"
             )
-        if kind == "swap" and other == target:
+        if kind == "swap" and partner == target:
             raise IdentityAnswerError(f"target {target} cannot be exchanged with itself")
-        return IdentityAnswer(kind, frame, target, other)
+        return IdentityAnswer(kind, frame, target, partner)
 
     def _no_start(self, target: str, frame: int) -> str:
-        own = self.tracklets.of_target.get(target)
-        if own is None:
+        tracklets = self.tracklets.of_target.get(target)
+        if tracklets is None:
             return f"target {target!r}: the run has none of that name"
-        frames = [self.tracklets.pieces[k].frames[0] for k in own]
-        nearest = min(frames, key=lambda one: abs(one - frame))
+        frames = [self.tracklets.pieces[k].frames[0] for k in tracklets]
+        nearest = min(frames, key=lambda number: abs(number - frame))
         return f"target {target}, frame {frame}: there is no question; the nearest one is of frame {nearest}"
 
     def _given(self) -> dict[int, int | None]:
         """Start -> end that it continues; a later answer takes the end from an earlier one."""
-        given: dict[int, int | None] = {}
+        continued: dict[int, int | None] = {}
 
         def give(start: int, end: int | None) -> None:
-            for other, taken in list(given.items()):
-                if end is not None and taken == end and other != start:
-                    del given[other]
-            given[start] = end
+            for earlier, earlier_end in list(continued.items()):
+                if end is not None and earlier_end == end and earlier != start:
+                    del continued[earlier]
+            continued[start] = end
 
         for answer in self.in_force:
             start = self.tracklets.starts.get((answer.target, answer.frame))
             if start is None or answer.answer == "skip":
                 continue
-            own = self.tracklets.before(start)
+            previous = self.tracklets.before(start)
             if answer.answer in ("new", "keep"):
-                give(start, None if answer.answer == "new" else own)
+                give(start, None if answer.answer == "new" else previous)
                 continue
             end = self.tracklets.end_of(answer.other, answer.frame)
             if end is None:
                 continue
             give(start, end)
             # The other one's next start is who this target was.
-            if answer.answer == "swap" and own is not None:
+            if answer.answer == "swap" and previous is not None:
                 following = end + 1
                 if following < len(self.tracklets.pieces) and self.tracklets.before(following) == end:
-                    give(following, own)
-        return given
+                    give(following, previous)
+        return continued
 
-    def questions(self, most: int | None = None) -> list[Question]:
+    def questions(self, limit: int | None = None) -> list[Question]:
         """The least certain decisions, the most doubtful first; what is answered or skipped is none."""
         posterior, pieces = self.posterior, self.tracklets.pieces
-        answered = {self.tracklets.starts.get((one.target, one.frame)) for one in self.in_force}
+        answered = {self.tracklets.starts.get((answer.target, answer.frame)) for answer in self.in_force}
         rows: dict[int, list[int]] = {}
         for row, start in enumerate(posterior.links.starts.tolist()):
             rows.setdefault(start, []).append(row)
         follower = {end: start for start, end in posterior.chosen.items()}
         shares: dict[int, dict[int | None, float]] = {}
         doubt = np.zeros(len(pieces))
-        for start, own in rows.items():
+        for start, link_rows in rows.items():
             shares[start] = {
                 **dict(
-                    zip(posterior.links.ends[own].tolist(), posterior.probability[own].tolist(), strict=True)
+                    zip(
+                        posterior.links.ends[link_rows].tolist(),
+                        posterior.probability[link_rows].tolist(),
+                        strict=True,
+                    )
                 ),
                 None: float(posterior.new[start]),
             }
@@ -329,24 +335,24 @@ class IdentityQueue:
         for start, own_shares in shares.items():
             if start in answered or doubt[start] <= 1.0 - SURE:
                 continue
-            chosen = posterior.chosen.get(start)
-            other = max(
-                (end for end in own_shares if end != chosen), key=own_shares.__getitem__, default=None
+            likeliest = posterior.chosen.get(start)
+            rival = max(
+                (end for end in own_shares if end != likeliest), key=own_shares.__getitem__, default=None
             )
-            partner = follower.get(other) if other is not None else None
+            partner = follower.get(rival) if rival is not None else None
             joint = 0.0
             if partner is not None and partner != start:
-                joint = doubt[partner] * min(own_shares[other] / max(doubt[start], 1e-12), 1.0)
+                joint = doubt[partner] * min(own_shares[rival] / max(doubt[start], 1e-12), 1.0)
             ranked.append((doubt[start] + joint, start, partner))
-        ranked.sort(key=lambda one: (-one[0], one[1]))
+        ranked.sort(key=lambda entry: (-entry[0], entry[1]))
         questions: list[Question] = []
-        done: set[int] = set()
+        covered: set[int] = set()
         for value, start, partner in ranked:
-            if start in done:
+            if start in covered:
                 continue
-            done.update([start] if partner is None else [start, partner])
+            covered.update([start] if partner is None else [start, partner])
             questions.append(self._question(start, shares[start], float(value)))
-            if most is not None and len(questions) == most:
+            if limit is not None and len(questions) == limit:
                 break
         return questions
 
@@ -359,21 +365,21 @@ class IdentityQueue:
             for end, share in ranked
             if share >= 0.005
         )
-        chosen = self.posterior.chosen.get(start)
-        shown = "new" if chosen is None else self.tracklets.target(chosen)
+        likeliest = self.posterior.chosen.get(start)
+        shown_name = "new" if likeliest is None else self.tracklets.target(likeliest)
         return Question(
             self.tracklets.target(start),
             self.tracklets.pieces[start].frames[0],
             candidates,
-            shown,
+            shown_name,
             self._partner(start),
             doubt,
         )
 
     def _partner(self, start: int) -> str:
         """The most probable other target that is there before and after; empty where none is."""
-        own = self.tracklets.before(start)
-        if own is None:
+        previous = self.tracklets.before(start)
+        if previous is None:
             return ""
         for end in self.posterior.of(start):
             if end is not None and self.tracklets.target(end) != self.tracklets.target(start):
@@ -389,8 +395,8 @@ class IdentityQueue:
     @property
     def changed(self) -> int:
         """Starts that continue another target than their own."""
-        chosen = self.posterior.chosen
+        ends = self.posterior.chosen
         return sum(
             end != self.tracklets.before(start) and self.tracklets.target(end) != self.tracklets.target(start)
-            for start, end in chosen.items()
+            for start, end in ends.items()
         )

@@ -99,14 +99,14 @@ def pixels_of(frame: Frame) -> int:
         return zlib.crc32(np.array(checksums, np.uint32).tobytes())
     if frame.place is not None:
         return int(frame.place.checksum)
-    shown: list[NDArray[Any]] = [frame.image]
+    images: list[NDArray[Any]] = [frame.image]
     match frame.depth:
         case RightEye():
-            shown.append(frame.depth.image)
+            images.append(frame.depth.image)
         case PointMap():
-            shown.append(frame.depth.points)
+            images.append(frame.depth.points)
     checksum = 0
-    for pixels in shown:
+    for pixels in images:
         checksum = zlib.crc32(np.ascontiguousarray(pixels), checksum)  # type: ignore[arg-type]
     return checksum
 
@@ -117,12 +117,12 @@ def write_checkpoint(directory: RunDirectory, checkpoint: Checkpoint) -> None:
     Raises:
         OutputError: it cannot be written; the one before it is as it was.
     """
-    at = checkpoint.written.positions
+    positions = checkpoint.written.positions
     header = {
         "state": state_format(),
         "machine": dict(checkpoint.machine),
         **{name: getattr(checkpoint, name) for name in _NUMBERS},
-        "outputs": {name: [place.size, place.sha256] for name, place in at.items()},
+        "outputs": {name: [place.size, place.sha256] for name, place in positions.items()},
         "ids": dict(checkpoint.written.ids),
     }
     body = json.dumps(header).encode("ascii") + b"\n" + checkpoint.state
@@ -142,15 +142,15 @@ def newest_checkpoint(directory: RunDirectory, say: Callable[[str], None] | None
     wrong: CheckpointError | None = None
     for path in (directory.checkpoint, directory.previous):
         try:
-            found = read_checkpoint(path)
+            checkpoint = read_checkpoint(path)
         except FileNotFoundError:
             continue
         except CheckpointError as error:
             wrong = wrong or error
             continue
         if wrong is not None and say is not None:
-            say(f"{wrong}; the checkpoint before it is used, of frame {found.frame}")
-        return found
+            say(f"{wrong}; the checkpoint before it is used, of frame {checkpoint.frame}")
+        return checkpoint
     if wrong is not None:
         raise wrong
     return None
@@ -165,8 +165,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
     """
     if path.stat().st_size > MOST_BYTES:
         raise CheckpointError(f"{path}: more than {MOST_BYTES >> 20} MiB: not a checkpoint")
-    magic, _, rest = path.read_bytes().partition(b"\n")
-    seal, _, body = rest.partition(b"\n")
+    magic, _, content = path.read_bytes().partition(b"\n")
+    seal, _, body = content.partition(b"\n")
     if not magic.startswith(MAGIC):
         raise CheckpointError(f"{path}: not a checkpoint")
     if magic != MAGIC + str(CHECKPOINT_FORMAT).encode():
@@ -206,14 +206,14 @@ def _are_counts(values: Iterable[object]) -> bool:
     return all(type(value) is int and 0 <= value < 1 << 63 for value in values)
 
 
-def _of_another(path: Path, what: str) -> str:
+def _of_another(path: Path, fault: str) -> str:
     """Describe a checkpoint of another program version, and which one can resume it."""
     try:
         versions = json.loads((path.parent / FILES["recipe"]).read_bytes())["versions"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         versions = None
-    other, anew = describe_other(what, versions, "resume"), setting("--overwrite")
-    return f"{path}: {other}, or start the run again with {anew}"
+    sentence, anew = describe_other(fault, versions, "resume"), setting("--overwrite")
+    return f"{path}: {sentence}, or start the run again with {anew}"
 
 
 _NUMBERS = ("recipe", "frame", "pixels", "frames", "reconfigurations", "lost_frames")
@@ -236,7 +236,7 @@ EVERY_S = 1.0
 """Seconds between checkpoints: with the time of a frame and of the disk, less than 2 s of work are lost."""
 
 
-def checkpoint_of(now: RunPosition, written: FilePositions, recipe: str) -> Checkpoint:
+def checkpoint_of(position: RunPosition, written: FilePositions, recipe: str) -> Checkpoint:
     """The checkpoint of a run that is so far.
 
     Raises:
@@ -244,14 +244,14 @@ def checkpoint_of(now: RunPosition, written: FilePositions, recipe: str) -> Chec
     """
     return Checkpoint(
         recipe,
-        now.frame.index,
-        pixels_of(now.frame),
-        now.frames,
-        now.reconfigurations,
-        now.lost_frames,
+        position.frame.index,
+        pixels_of(position.frame),
+        position.frames,
+        position.reconfigurations,
+        position.lost_frames,
         written,
         describe_machine(),
-        encode_state(now.state),
+        encode_state(position.state),
     )
 
 
@@ -286,17 +286,17 @@ class Checkpoints:
         self._writer = Background("checkpoints")
         self._writing: Future[None] | None = None
 
-    def reached(self, now: RunPosition) -> None:
+    def reached(self, position: RunPosition) -> None:
         """Make a checkpoint when one is due.
 
         Raises:
             OutputError: it, or an output before it, cannot be written.
         """
-        self._last = now
+        self._last = position
         if self._due is None or self._clock() < self._due:
             return
         if self._writing is None or self._writing.done():
-            self._make(now)
+            self._make(position)
 
     def stopped(self) -> None:
         """Make one of the last frame; where that fails, the one before it is good enough."""
@@ -329,24 +329,24 @@ class Checkpoints:
         if writing is not None:
             writing.result()
 
-    def _make(self, now: RunPosition) -> None:
+    def _make(self, position: RunPosition) -> None:
         began = self._clock()
-        made = self._made(now)
-        if made is not None:
-            self._writing = self._writer.submit(self._write, made)
+        checkpoint = self._made(position)
+        if checkpoint is not None:
+            self._writing = self._writer.submit(self._write, checkpoint)
             self._due = began + self._every_s
 
-    def _made(self, now: RunPosition) -> Checkpoint | None:
+    def _made(self, position: RunPosition) -> Checkpoint | None:
         """The checkpoint of a frame, once the last one is written; None where the state cannot be stored."""
         self._written()
         try:
-            return checkpoint_of(now, self._recorder.written, self._recipe)
+            return checkpoint_of(position, self._recorder.written, self._recipe)
         except StateError as error:
             self._due = None
             if self._notice is not None:
                 self._notice(f"no checkpoints: {error}; if it is broken off, this run repeats from its start")
             return None
 
-    def _write(self, made: Checkpoint) -> None:
+    def _write(self, checkpoint: Checkpoint) -> None:
         self._recorder.sync()
-        write_checkpoint(self._directory, made)
+        write_checkpoint(self._directory, checkpoint)

@@ -64,7 +64,7 @@ def describe_machine() -> Mapping[str, str]:
     The instruction sets are those in use, after `NPY_DISABLE_CPU_FEATURES`, `NUMBA_CPU_NAME`,
     `OPENCV_CPU_DISABLE` and the like. The number of processors is left out: no result depends on it.
     """
-    said = {
+    entries = {
         **versions(),
         "machine": f"{platform.system()} {platform.machine()}",
         "C library": " ".join(platform.libc_ver()).strip() or "unknown",
@@ -74,16 +74,16 @@ def describe_machine() -> Mapping[str, str]:
         **_decoder(),
         **{name: os.environ[name] for name in SETTINGS if os.environ.get(name)},
     }
-    return MappingProxyType(said)
+    return MappingProxyType(entries)
 
 
 def _numpy() -> dict[str, str]:
     # NumPy shows them in `numpy.show_runtime()` only, which prints.
     core = "numpy.core" if np.__version__.startswith("1.") else "numpy._core"
     umath = import_module(f"{core}._multiarray_umath")
-    found: Mapping[str, bool] = umath.__cpu_features__
-    chosen = [*umath.__cpu_baseline__, *umath.__cpu_dispatch__]
-    return {"NumPy CPU": " ".join(name for name in chosen if found.get(name)) or "baseline"}
+    features: Mapping[str, bool] = umath.__cpu_features__
+    names = [*umath.__cpu_baseline__, *umath.__cpu_dispatch__]
+    return {"NumPy CPU": " ".join(name for name in names if features.get(name)) or "baseline"}
 
 
 def _numba() -> dict[str, str]:
@@ -94,11 +94,11 @@ def _numba() -> dict[str, str]:
         return {"Numba": "not compiled"}
     # The key under which Numba stores compiled kernels.
     triple, name, features = cpu_target.target_context.codegen().magic_tuple()
-    used = sorted(part[1:] for part in features.split(",") if part.startswith("+"))
+    features_on = sorted(part[1:] for part in features.split(",") if part.startswith("+"))
     return {
         "llvmlite": version("llvmlite"),
         "Numba target": f"{triple} {name}",
-        "Numba CPU": " ".join(used) or "baseline",
+        "Numba CPU": " ".join(features_on) or "baseline",
     }
 
 
@@ -107,11 +107,11 @@ def _opencv() -> dict[str, str]:
 
     build = hashlib.sha256(cv2.getBuildInformation().encode()).hexdigest()[:12]
     # A star marks what is chosen at run time, a question mark what is not there or switched off.
-    used = [word.lstrip("*") for word in cv2.getCPUFeaturesLine().split() if not word.endswith("?")]
+    features = [word.lstrip("*") for word in cv2.getCPUFeaturesLine().split() if not word.endswith("?")]
     ipp = getattr(cv2, "ipp", None)
     return {
         "OpenCV build": build,
-        "OpenCV CPU": " ".join(used) if cv2.useOptimized() else "baseline",
+        "OpenCV CPU": " ".join(features) if cv2.useOptimized() else "baseline",
         "OpenCV IPP": ipp.getIppVersion() if ipp is not None and ipp.useIPP() else "none",
     }
 
@@ -123,7 +123,7 @@ def _decoder() -> dict[str, str]:
     return {"FFmpeg": " ".join(f"{n} {'.'.join(map(str, av.library_versions[n]))}" for n in names)}
 
 
-def name_differences(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+def name_differences(earlier: Mapping[str, str], current: Mapping[str, str]) -> tuple[str, ...]:
     """Differences between two descriptions, in words.
 
     >>> name_differences({"NumPy CPU": "SSE2 AVX2"}, {"NumPy CPU": "SSE2"})
@@ -131,21 +131,23 @@ def name_differences(then: Mapping[str, str], now: Mapping[str, str]) -> tuple[s
     >>> name_differences({"zlib": "1.2"}, {"zlib": "1.3"}), name_differences({}, {"zlib": "1.3"})
     (('zlib 1.2, now 1.3',), ())
     """
-    names = dict.fromkeys((*then, *now))
-    if "zlib" not in then:
+    names = dict.fromkeys((*earlier, *current))
+    if "zlib" not in earlier:
         names.pop("zlib", None)  # earlier runs did not record it
     return tuple(
-        _difference(name, then.get(name), now.get(name)) for name in names if then.get(name) != now.get(name)
+        _difference(name, earlier.get(name), current.get(name))
+        for name in names
+        if earlier.get(name) != current.get(name)
     )
 
 
-def _difference(name: str, then: str | None, now: str | None) -> str:
-    before, after = (then or "").split(), (now or "").split()
-    if not name.endswith("CPU") or not (before and after):
-        return f"{name} {then or 'none'}, now {now or 'none'}"
-    without = [word for word in before if word not in after]
-    more = [word for word in after if word not in before]
-    parts = [f"{word} {' '.join(words)}" for word, words in (("without", without), ("with", more)) if words]
+def _difference(name: str, earlier: str | None, current: str | None) -> str:
+    old_words, new_words = (earlier or "").split(), (current or "").split()
+    if not name.endswith("CPU") or not (old_words and new_words):
+        return f"{name} {earlier or 'none'}, now {current or 'none'}"
+    without = [word for word in old_words if word not in new_words]
+    added = [word for word in new_words if word not in old_words]
+    parts = [f"{word} {' '.join(words)}" for word, words in (("without", without), ("with", added)) if words]
     return f"{name}: {', '.join(parts)}"
 
 
@@ -169,24 +171,24 @@ class GivenFile:
         """Changes of the file since then, in words; raises OSError when it cannot be read."""
         if not self.place.is_file():  # a device or a pipe might never end
             raise OSError(EINVAL, "not a plain file", str(self.place))
-        now = file_sha256(self.place)
-        return () if now == self.sha256 else (f"{self.path}: {self.sha256[:12]}, now {now[:12]}",)
+        sha256 = file_sha256(self.place)
+        return () if sha256 == self.sha256 else (f"{self.path}: {self.sha256[:12]}, now {sha256[:12]}",)
 
 
 def model_files(graph: CheckedGraph) -> list[str]:
     """Files that the agents and detectors of a graph read, by their paths as it has them."""
-    found: set[str] = set()
+    paths: set[str] = set()
     cues = graph.declarations
     for plate in graph.targets.values():
-        for _, _, chosen in plate.spec.cue_choices():
-            files = cues[chosen.cue].files
-            found |= set(() if files is None else files(cue_parameters(chosen, cues[chosen.cue])))
+        for _, _, choice in plate.spec.cue_choices():
+            files = cues[choice.cue].files
+            paths |= set(() if files is None else files(cue_parameters(choice, cues[choice.cue])))
         birth = plate.spec.birth
         if birth is not None:
             declaration = detectors_of_graphs([birth.detector.detector])[birth.detector.detector]
             if declaration.files is not None:
-                found |= set(declaration.files(plugin_parameters(birth.detector, declaration.parameters)))
-    return sorted(found | {one.file for one in graph.spec.inputs.values()})
+                paths |= set(declaration.files(plugin_parameters(birth.detector, declaration.parameters)))
+    return sorted(paths | {source.file for source in graph.spec.inputs.values()})
 
 
 @contextmanager
@@ -196,18 +198,18 @@ def steady(paths: Iterable[str | PathLike[str] | None]) -> Iterator[Callable[[],
     Raises:
         SourceError: when that is called, if a file changed since: what was read may not be what it holds.
     """
-    before = stamps(Path(path) for path in paths if path is not None)
+    old_stamps = stamps(Path(path) for path in paths if path is not None)
 
     def check() -> None:
-        changed = changed_since(before)
-        if changed:
-            raise SourceError(few(changed), "changed while it was read", "files that stay as they are", AGAIN)
+        changes = changed_since(old_stamps)
+        if changes:
+            raise SourceError(few(changes), "changed while it was read", "files that stay as they are", AGAIN)
 
     yield check
-    changed = changed_since(before)
-    if changed:
+    changes = changed_since(old_stamps)
+    if changes:
         notice(
-            f"{few(changed)}: changed during the run, which used what it held at the start; run.json has the "
+            f"{few(changes)}: changed during the run, which used what it held at the start; run.json has the "
             "SHA-256 of that"
         )
 

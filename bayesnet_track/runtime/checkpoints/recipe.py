@@ -53,8 +53,8 @@ def hide_bytes(text: str) -> str:
 
 def restore_bytes(text: str) -> str:
     """The text with its bytes again: the inverse of `hide_bytes`."""
-    first, last = chr(BYTES_AT + 0x80), chr(BYTES_AT + 0xFF)
-    return "".join(chr(ord(c) - BYTES_AT + 0xDC00) if first <= c <= last else c for c in text)
+    first, final = chr(BYTES_AT + 0x80), chr(BYTES_AT + 0xFF)
+    return "".join(chr(ord(c) - BYTES_AT + 0xDC00) if first <= c <= final else c for c in text)
 
 
 def change_texts(value: Any, change: Callable[[str], str]) -> Any:
@@ -66,8 +66,8 @@ def change_texts(value: Any, change: Callable[[str], str]) -> Any:
     if isinstance(value, list | tuple):
         return type(value)(change_texts(item, change) for item in value)
     if is_dataclass(value) and not isinstance(value, type):
-        own = {item.name: change_texts(getattr(value, item.name), change) for item in fields(value)}
-        return replace(value, **own)
+        values = {item.name: change_texts(getattr(value, item.name), change) for item in fields(value)}
+        return replace(value, **values)
     return value
 
 
@@ -124,7 +124,7 @@ def options_of(
         options[VIDEO_FORMAT] = "mp4"
     named: set[str] = set()
     for compiled in engine.plates.values():
-        named |= {chosen.cue for _, _, chosen in compiled.plate.spec.cue_choices()}
+        named |= {choice.cue for _, _, choice in compiled.plate.spec.cue_choices()}
         if compiled.lifecycle is not None and compiled.lifecycle.birth is not None:
             named.add(compiled.lifecycle.birth.detector.detector)
     theirs = sorted(named & plugins.allowed())
@@ -209,10 +209,10 @@ class Recipe:
     def optional(self) -> tuple[str, ...]:
         """Files that the recorder writes besides what every run has."""
         kind = str(self.options.get(VIDEO_FORMAT, "video"))
-        asked = {kind: self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
-        asked["hypotheses"] = bool(self.options.get(ALL_HYPOTHESES))
-        asked["csv"] = bool(self.options.get(TRACKS_CSV))
-        return tuple(name for name, is_asked in asked.items() if is_asked)
+        requested = {kind: self.has_video, "beliefs": bool(self.options.get(KEEPS_BELIEFS))}
+        requested["hypotheses"] = bool(self.options.get(ALL_HYPOTHESES))
+        requested["csv"] = bool(self.options.get(TRACKS_CSV))
+        return tuple(name for name, is_asked in requested.items() if is_asked)
 
     @property
     def horizon(self) -> int:
@@ -245,8 +245,8 @@ class Recipe:
                 del plain[name]
         usual_values: dict[str, Any] = {"stride": 1, "value_range": None, "size": None, "cameras": {}}
         for origin in (plain["origin"], *plain["origin"]["cameras"].values()):
-            for name, usual in usual_values.items():
-                if origin[name] == usual:
+            for name, default in usual_values.items():
+                if origin[name] == default:
                     del origin[name]
         return json.dumps(plain, indent=1) + "\n"
 
@@ -269,8 +269,8 @@ class Recipe:
         try:
             text = path.read_bytes()
         except FileNotFoundError:
-            where = "no such folder" if not path.parent.is_dir() else f"no {path.name} in it"
-            raise RecipeError(f"{path.parent}: {where}: not a run that can be done again") from None
+            fault = "no such folder" if not path.parent.is_dir() else f"no {path.name} in it"
+            raise RecipeError(f"{path.parent}: {fault}: not a run that can be done again") from None
         except OSError as error:
             raise RecipeError(f"{path}: {error.strerror}") from error
         try:
@@ -299,22 +299,22 @@ class Recipe:
 
     def read_masks(self) -> dict[str, Mask]:
         """Images of the graph's factors as they are now, by their paths in it; without what is gone."""
-        found = {}
+        masks = {}
         for name, file in self.masks.items():
             with suppress(PictureError):
-                found[name] = read_mask(file.place)
-        return found
+                masks[name] = read_mask(file.place)
+        return masks
 
     def read_calibrations(self, spec: GraphSpec) -> dict[str, Calibration]:
         """Cameras of the graph as their files are now, by path and name in it; any for one that is gone."""
-        found = {}
+        calibrations = {}
         for source in spec.cameras.values():
             file = self.calibrations.get(source.key)
             if file is not None:
-                found[source.key] = AnyCalibration()[source.key]
+                calibrations[source.key] = AnyCalibration()[source.key]
                 with suppress(ValueError, OSError):
-                    found[source.key] = read_file(file.place, source.name)
-        return found
+                    calibrations[source.key] = read_file(file.place, source.name)
+        return calibrations
 
     @contextmanager
     def opened(self, open_camera: OpenCamera | None = None) -> Iterator[FrameSource]:
@@ -323,9 +323,9 @@ class Recipe:
         try:
             yield source
         finally:
-            close = getattr(source, "close", None)
-            if close is not None:
-                close()
+            close_source = getattr(source, "close", None)
+            if close_source is not None:
+                close_source()
 
     def load_graph(
         self, directory: RunDirectory | str | PathLike[str], cues: Iterable[GivenCue] = ()
@@ -345,8 +345,8 @@ class Recipe:
         if graph_sha256(text) != self.graph_sha256:
             raise RecipeError(f"{path}: another graph than the one that the run began with")
         masks = {name: AnyMask()[name] for name in self.masks} | self.read_masks()
-        spec, at = read_graph(text, str(path))
-        return check(spec, at, tuple(cues), masks, self.read_calibrations(spec))
+        spec, positions = read_graph(text, str(path))
+        return check(spec, positions, tuple(cues), masks, self.read_calibrations(spec))
 
 
 def _check_format(path: Path, plain: object) -> None:
@@ -380,7 +380,7 @@ def make_recipe(
         graph=graph.spec.name,
         graph_sha256=graph_sha256(graph.text),
         origin=(Origin("own", "", source.description) if origin is None else origin.marked()),
-        starts=tuple(Start(tuple(float(v) for v in one.box), one.plate) for one in starts),  # type: ignore[arg-type]
+        starts=tuple(Start(tuple(float(v) for v in start.box), start.plate) for start in starts),  # type: ignore[arg-type]
         seed=seed,
         detections=given_file(detections[""]) if "" in detections else None,
         camera_detections={camera: given_file(path) for camera, path in detections.items() if camera},
@@ -394,8 +394,8 @@ def make_recipe(
             for name, mask in sorted(graph.masks.items())
         },
         calibrations={
-            name: GivenFile(str(one.path), str(one.path.absolute()), one.sha256)
-            for name, one in sorted(graph.calibrations.items())
+            name: GivenFile(str(calibration.path), str(calibration.path.absolute()), calibration.sha256)
+            for name, calibration in sorted(graph.calibrations.items())
         },
         models={path: given_file(path) for path in model_files(graph)},
         options=dict(sorted(options.items())),
@@ -407,8 +407,8 @@ def _given_cue(file: CueFile) -> GivenFile:
     return GivenFile(file.path, str(Path(file.path).absolute()), file.sha256)
 
 
-def _directory(given: RunDirectory | str | PathLike[str]) -> RunDirectory:
-    return given if isinstance(given, RunDirectory) else RunDirectory(Path(given))
+def _directory(place: RunDirectory | str | PathLike[str]) -> RunDirectory:
+    return place if isinstance(place, RunDirectory) else RunDirectory(Path(place))
 
 
 @cache

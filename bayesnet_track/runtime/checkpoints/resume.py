@@ -154,35 +154,35 @@ def resume(
         open_camera = executing.open_camera if at_hosts else None
         opened = stack.enter_context(recipe.opened(open_camera)) if source is None else source
         resizing = resizing_of(opened, recipe.max_side)
-        seen = resizing.graph(graph)
+        resized = resizing.graph(graph)
         detection_files = recipe.detection_files
         detectors = {
-            camera: resizing.detector(given_detector(seen, file.place))
+            camera: resizing.detector(given_detector(resized, file.place))
             for camera, file in detection_files.items()
         }
-        engine = prepare_engine(seen, recipe.seed, motion, by_engine_names(detectors))
+        engine = prepare_engine(resized, recipe.seed, motion, by_engine_names(detectors))
         check_depth(engine, opened)
         budget_ms = recipe.budget_ms
         engine = place_cues(stack, executing, engine, opened, budget_ms)
-        asked = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
-        before = inputs_before(directory)
-        external_inputs = _external_inputs(before, as_inputs(asked))
+        chosen_inputs = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
+        earlier_inputs = inputs_before(directory)
+        external_inputs = _external_inputs(earlier_inputs, as_inputs(chosen_inputs))
         check_steady()
         anew = _why_anew(checkpoint, engine)
         if anew:
             say(f"it begins anew: {anew}")
             checkpoint = None
-        after: Resumed | None = None
+        resumed: Resumed | None = None
         if checkpoint is not None:
             check_outputs(directory, checkpoint, say)
             reach = partial(_reach, checkpoint, engine, resizing)
-            after = replace(_skip(opened, checkpoint.frame, reach, totals, say), events=moves)
+            resumed = replace(_skip(opened, checkpoint.frame, reach, totals, say), events=moves)
         # From here on files are changed.
-        _keep_pending(directory, before, -1 if checkpoint is None else checkpoint.frame)
+        _keep_pending(directory, earlier_inputs, -1 if checkpoint is None else checkpoint.frame)
         _clear(directory, checkpoint)
         if checkpoint is not None and "mot" in checkpoint.written.positions and not directory.mot.exists():
             checkpoint = _without_mot(directory, checkpoint)
-        own = held_files(directory, getattr(opened, "truth_text", None))
+        small_files = held_files(directory, getattr(opened, "truth_text", None))
         recorder = stack.enter_context(
             Recorder(
                 directory,
@@ -199,8 +199,8 @@ def resume(
                 None if checkpoint is None else checkpoint.written,
             )
         if checkpoint is not None and recipe.has_video:
-            with recipe.opened() as again:
-                recorder.redraw((item for item in again if isinstance(item, Frame)), checkpoint.frame)
+            with recipe.opened() as reopened:
+                recorder.redraw((item for item in reopened if isinstance(item, Frame)), checkpoint.frame)
         checkpointer = make_checkpointer(directory, engine, recorder, recipe, checkpoint_every)
         if checkpointer is not None:
             stack.enter_context(checkpointer)
@@ -217,15 +217,15 @@ def resume(
             deadline=(
                 None
                 if budget_ms is None
-                else Deadline(budget_ms, executing.processes, known_until=max(before, default=-1))
+                else Deadline(budget_ms, executing.processes, known_until=max(earlier_inputs, default=-1))
             ),
             checkpointer=checkpointer,
-            after=after,
+            after=resumed,
             max_side=recipe.max_side,
         )
-        yield from results if after is None else _first_guarded(results, after.reached.frame.index)
+        yield from results if resumed is None else _first_guarded(results, resumed.reached.frame.index)
         if totals.frames:
-            finish(directory, recorder.finish(), own)
+            finish(directory, recorder.finish(), small_files)
 
 
 def _permit_move(
@@ -238,14 +238,14 @@ def _permit_move(
         changes = name_differences(checkpoint.machine, describe_machine())
     if not changes:
         return ()
-    what = "; ".join(changes)
+    reason = "; ".join(changes)
     if not is_allowed:
         raise ResumeError(
             "it was computed on another machine or with other libraries, which give other last digits: "
-            f"{what}; {setting('--allow-other-machine')} goes on all the same, and the result equals no "
+            f"{reason}; {setting('--allow-other-machine')} goes on all the same, and the result equals no "
             "unbroken run's"
         )
-    say(f"it goes on although the machine or libraries differ: {what}")
+    say(f"it goes on although the machine or libraries differ: {reason}")
     return () if checkpoint is None else (MachineChanged(checkpoint.frame + 1, changes),)
 
 
@@ -261,15 +261,15 @@ def _check_plain(directory: RunDirectory) -> None:
             raise ResumeError(f"{path}: it is a link or no plain file; put the file itself there")
 
 
-def _keep_pending(directory: RunDirectory, before: Mapping[int, Sequence[Input]], frame: int) -> None:
+def _keep_pending(directory: RunDirectory, earlier: Mapping[int, Sequence[Input]], frame: int) -> None:
     """Write down what came for the frames after `frame`.
 
     Raises:
         OutputError: it cannot be written.
     """
-    later = [one for index, given in sorted(before.items()) if index > frame for one in given]
+    later = [entry for index, entries in sorted(earlier.items()) if index > frame for entry in entries]
     if later or directory.ahead.exists():
-        write_atomically(directory.ahead, "".join(f"{to_json(one)}\n" for one in later).encode("utf-8"))
+        write_atomically(directory.ahead, "".join(f"{to_json(entry)}\n" for entry in later).encode("utf-8"))
 
 
 def _first_guarded(results: Generator[Result, None, None], frame: int) -> Generator[Result, None, None]:
@@ -283,9 +283,9 @@ def _first_guarded(results: Generator[Result, None, None], frame: int) -> Genera
     except Exception as error:
         if type(error).__module__.startswith("bayesnet_track") or isinstance(error, OSError):
             raise
-        what = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         raise CheckpointError(
-            f"no frame can be tracked from the checkpoint of frame {frame}: {what}; its state was edited, or "
+            f"no frame can be tracked from the checkpoint of frame {frame}: {text}; its state was edited, or "
             "this is an error in bayesnet-track; without its checkpoints the run begins anew"
         ) from error
     if first is None:
@@ -317,7 +317,11 @@ def _reach(checkpoint: Checkpoint, engine: Engine, resizing: Resizing, frame: Fr
 
 
 def _skip(
-    source: FrameSource, last: int, reach: Callable[[Frame], RunPosition], summary: Summary, say: Notice
+    source: FrameSource,
+    checkpoint_frame: int,
+    reach: Callable[[Frame], RunPosition],
+    summary: Summary,
+    say: Notice,
 ) -> Resumed:
     """Read the source up to the checkpoint's frame, and take up the state after it.
 
@@ -328,17 +332,17 @@ def _skip(
     for item in items:
         if not isinstance(item, Frame):
             summary.notices.append(item)
-        elif item.index == last:
+        elif item.index == checkpoint_frame:
             say(f"it goes on after frame {item.index}")
             return Resumed(reach(item), items)
-        elif item.index > last:
+        elif item.index > checkpoint_frame:
             break
-    raise ResumeError(f"the source has no frame {last} any more, after which the run was")
+    raise ResumeError(f"the source has no frame {checkpoint_frame} any more, after which the run was")
 
 
-def _external_inputs(before: Mapping[int, Sequence[Input]], later: InputsAt) -> InputsAt:
+def _external_inputs(earlier: Mapping[int, Sequence[Input]], later: InputsAt) -> InputsAt:
     """External inputs of the frames that had them, then those that come `later`."""
-    return lambda frame: before[frame] if frame in before else later(frame)
+    return lambda frame: earlier[frame] if frame in earlier else later(frame)
 
 
 def _without_mot(directory: RunDirectory, checkpoint: Checkpoint) -> Checkpoint:

@@ -80,10 +80,10 @@ def _ending(journal: Path) -> str | None:
             file.seek(0, 2)
             file.seek(max(0, file.tell() - TAIL_BYTES))
             lines = file.read().split(b"\n")
-        last: Event | object = from_json(lines[-2].decode("utf-8")) if len(lines) > 1 else None
+        event: Event | object = from_json(lines[-2].decode("utf-8")) if len(lines) > 1 else None
     except (OSError, JournalError, UnicodeDecodeError):
         return None
-    return last.reason if isinstance(last, RunEnded) else None
+    return event.reason if isinstance(event, RunEnded) else None
 
 
 class ResumeError(ValueError):
@@ -105,19 +105,19 @@ def check_same(
         if recipe.has_video:
             raise ResumeError(f"its video cannot be drawn again: {recipe.origin.only_once}")
     files = (*recipe.detection_files.values(), recipe.inputs)
-    given = [file.changes for file in files if file is not None]
-    _refuse_changes([recipe.origin.changes, *given] if source is None and not at_hosts else given)
+    changes = [file.changes for file in files if file is not None]
+    _refuse_changes([recipe.origin.changes, *changes] if source is None and not at_hosts else changes)
 
 
 def check_files(recipe: Recipe) -> None:
     """Refuse files of the graph that are gone or are not those of the run; raises ResumeError."""
-    of = (*recipe.masks.values(), *recipe.calibrations.values(), *recipe.models.values())
-    _refuse_changes([file.changes for file in of])
+    files = (*recipe.masks.values(), *recipe.calibrations.values(), *recipe.models.values())
+    _refuse_changes([file.changes for file in files])
 
 
-def _refuse_changes(asked: Iterable[Callable[[], Iterable[str]]]) -> None:
+def _refuse_changes(finders: Iterable[Callable[[], Iterable[str]]]) -> None:
     try:
-        changes = [change for find in asked for change in find()]
+        changes = [change for find in finders for change in find()]
     except OSError as error:
         raise ResumeError(
             f"{error.filename}: it reads this file, and it cannot be read: {error.strerror}"
@@ -135,9 +135,9 @@ def check_cues(recipe: Recipe, cues: Iterable[GivenCue]) -> None:
         ResumeError: names the cue and the file.
         CueError: a file of `cues` cannot be loaded.
     """
-    own = {**given(ENTRY_POINT_GROUP), **own_cues(cues)}
+    available = {**given(ENTRY_POINT_GROUP), **own_cues(cues)}
     for name, was in recipe.cue_files.items():
-        file = None if name not in own else file_of(own[name])
+        file = None if name not in available else file_of(available[name])
         if file is None:
             raise ResumeError(
                 f"its cue {name!r} is the code in {was.path} (SHA-256 {was.sha256[:12]}), which is run only "
@@ -148,7 +148,7 @@ def check_cues(recipe: Recipe, cues: Iterable[GivenCue]) -> None:
                 f"{file.path}: SHA-256 {file.sha256[:12]}; its cue {name!r} was {was.path} with "
                 f"{was.sha256[:12]}: give that file as it was"
             )
-    missing = [name for name in recipe.own_cues if name not in own]
+    missing = [name for name in recipe.own_cues if name not in available]
     if missing:
         raise ResumeError(
             f"it was tracked with the cue {missing[0]!r} of a program of one's own: give it again, in Python "
@@ -167,13 +167,13 @@ def check_outputs(directory: RunDirectory, checkpoint: Checkpoint, say: Notice) 
         if key == "mot" and _leaves_out_mot(directory):
             continue
         try:
-            found = read_position(path, place.size)
+            actual = read_position(path, place.size)
             size = path.stat().st_size
         except OSError as error:
             raise ResumeError(f"{path}: {error.strerror}") from error
-        if found.size < place.size:
-            raise ResumeError(f"{path}: cut off: {found.size} bytes of {place.size} are left")
-        if found != place:
+        if actual.size < place.size:
+            raise ResumeError(f"{path}: cut off: {actual.size} bytes of {place.size} are left")
+        if actual != place:
             raise ResumeError(
                 f"{path}: changed since it was written: its first {place.size} bytes are others"
             )
@@ -203,7 +203,7 @@ MADE_LATER = frozenset({"report", FILES["report"]})
 
 @dataclass(frozen=True)
 class Verified:
-    """What was found.
+    """Findings about a run's files.
 
     Attributes:
         status: ``verified``; ``changed``, see `outputs`; ``unfinished``: there is no manifest yet, and
@@ -244,10 +244,10 @@ def verify(path: str | PathLike[str]) -> Verified:
 
 def _outputs(directory: RunDirectory, manifest: Manifest) -> dict[str, Finding]:
     names = {FILES[key]: place for key, place in manifest.outputs.items()}
-    found = {name: _finding(directory.path / name, names[name]) for name in sorted(names)}
-    known = {*names, FILES["manifest"], LOCK, STAGED, *passing(), *MADE_LATER}
-    others = sorted(entry.name for entry in directory.path.iterdir() if entry.name not in known)
-    return {**found, **dict.fromkeys(others, "extra")}
+    findings = {name: _finding(directory.path / name, names[name]) for name in sorted(names)}
+    expected = {*names, FILES["manifest"], LOCK, STAGED, *passing(), *MADE_LATER}
+    extras = sorted(entry.name for entry in directory.path.iterdir() if entry.name not in expected)
+    return {**findings, **dict.fromkeys(extras, "extra")}
 
 
 def _finding(path: Path, written: Position) -> Finding:
@@ -257,8 +257,8 @@ def _finding(path: Path, written: Position) -> Finding:
         return "missing"
     if not is_file:
         return "changed"
-    found = read_position(path)
-    if found == written:
+    actual = read_position(path)
+    if actual == written:
         return "ok"
-    is_cut = found.size < written.size
+    is_cut = actual.size < written.size
     return "truncated" if is_cut else "changed"

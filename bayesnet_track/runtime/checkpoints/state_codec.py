@@ -140,13 +140,13 @@ def encode_state(state: State) -> bytes:
     return encode(state, CLASSES, state.previous)
 
 
-def encode(value: Any, classes: tuple[type, ...], outside: Frame | None = None) -> bytes:
-    """A value made of `classes`, plain values, tuples, mappings and arrays as bytes; without `outside`.
+def encode(value: Any, classes: tuple[type, ...], outer_frame: Frame | None = None) -> bytes:
+    """A value made of `classes`, plain values, tuples, mappings and arrays as bytes; without `outer_frame`.
 
     Raises:
         StateError: it holds something else.
     """
-    encoder = _Encoder(outside, _by_name(classes))
+    encoder = _Encoder(outer_frame, _by_name(classes))
     structure = json.dumps(encoder.node(value), separators=(",", ":")).encode("ascii")
     line = json.dumps([len(structure), encoder.places], separators=(",", ":")).encode("ascii")
     return b"".join((line, b"\n", structure, *encoder.blobs))
@@ -165,7 +165,7 @@ def decode_state(data: bytes, engine: Engine, frame: Frame | None) -> State:
 
 
 def decode(
-    data: bytes, classes: tuple[type, ...], engine: Engine | None = None, outside: Frame | None = None
+    data: bytes, classes: tuple[type, ...], engine: Engine | None = None, outer_frame: Frame | None = None
 ) -> Any:
     """The inverse of `encode`; plans are compiled with `engine`.
 
@@ -173,10 +173,10 @@ def decode(
         StateError: the bytes hold something else.
     """
     try:
-        line, rest = data.split(b"\n", 1)
+        line, content = data.split(b"\n", 1)
         length, places = json.loads(line)
-        arrays = _arrays(places, memoryview(rest)[length:])
-        return _Decoder(engine, outside, arrays, _by_name(classes)).value(json.loads(rest[:length]))
+        arrays = _arrays(places, memoryview(content)[length:])
+        return _Decoder(engine, outer_frame, arrays, _by_name(classes)).value(json.loads(content[:length]))
     except StateError:
         raise
     except Exception as error:  # whatever a class says of values that are not its own
@@ -186,10 +186,10 @@ def decode(
 class _Encoder:
     """Values as JSON: plain ones as they are, others as a list that begins with a letter."""
 
-    def __init__(self, outside: Frame | None, known: Mapping[str, type]) -> None:
+    def __init__(self, outer_frame: Frame | None, classes: Mapping[str, type]) -> None:
         self.blobs: list[bytes] = []
         self.places: list[list[Any]] = []
-        self._outside, self._known = outside, known
+        self._outside, self._known = outer_frame, classes
         self._seen: dict[int, int] = {}
 
     def node(self, value: Any) -> Any:
@@ -200,12 +200,12 @@ class _Encoder:
             return ["t", *(value if is_plain else map(self.node, value))]
         if type(value) is frozenset:
             return ["f", *[self.node(item) for item in sorted(value)]]
-        known = self._seen.get(id(value))
-        if known is not None:
-            return ["=", known]
-        made = self._made(value)
+        number = self._seen.get(id(value))
+        if number is not None:
+            return ["=", number]
+        node = self._made(value)
         self._seen[id(value)] = len(self._seen)
-        return made
+        return node
 
     def _made(self, value: Any) -> Any:
         if is_dataclass(value) and self._known.get(type(value).__name__) is type(value):
@@ -235,7 +235,7 @@ class _Encoder:
 
 
 def _arrays(places: list[list[Any]], data: memoryview) -> list[Any]:
-    found, at = [], 0
+    arrays, offset = [], 0
     for name, shape, order, is_writeable, is_scalar in places:
         kind = np.dtype(name)
         if kind.kind not in DTYPES:
@@ -243,14 +243,14 @@ def _arrays(places: list[list[Any]], data: memoryview) -> list[Any]:
         if any(type(size) is not int or size < 0 for size in shape):
             raise StateError(f"damaged: an array of shape {shape}")
         count = math.prod(shape)
-        array: Array = np.frombuffer(data, kind, count, at).reshape(shape)
-        at += count * kind.itemsize
+        array: Array = np.frombuffer(data, kind, count, offset).reshape(shape)
+        offset += count * kind.itemsize
         array = array.copy() if order == "C" else _lay_out(array, order)
         array.setflags(write=is_writeable)
-        found.append(array[()] if is_scalar else array)
-    if at != len(data):
-        raise StateError(f"damaged: {len(data) - at} bytes too many")
-    return found
+        arrays.append(array[()] if is_scalar else array)
+    if offset != len(data):
+        raise StateError(f"damaged: {len(data) - offset} bytes too many")
+    return arrays
 
 
 def _lay_out(values: Array, strides: list[int]) -> Array:
@@ -270,9 +270,9 @@ class _Decoder:
     """The inverse of `_Encoder`."""
 
     def __init__(
-        self, engine: Engine | None, outside: Frame | None, arrays: list[Any], known: Mapping[str, type]
+        self, engine: Engine | None, outer_frame: Frame | None, arrays: list[Any], classes: Mapping[str, type]
     ) -> None:
-        self._engine, self._outside, self._arrays, self._known = engine, outside, arrays, known
+        self._engine, self._outside, self._arrays, self._known = engine, outer_frame, arrays, classes
         self._made: list[Any] = []
 
     def value(self, node: Any) -> Any:
@@ -285,9 +285,9 @@ class _Decoder:
             return frozenset(self.value(item) for item in node[1:])
         if letter == "=":
             return self._made[node[1]]
-        made = self._new(letter, node)
-        self._made.append(made)
-        return made
+        instance = self._new(letter, node)
+        self._made.append(instance)
+        return instance
 
     def _new(self, letter: str, node: list[Any]) -> Any:
         if letter == "m":

@@ -336,9 +336,9 @@ class HostedSource:
     numbers: range
 
     def __init__(
-        self, camera: str, origin: Origin, ask: Callable[[Call], Any], close: Callable[[], None]
+        self, camera: str, origin: Origin, ask: Callable[[Call], Any], close_host: Callable[[], None]
     ) -> None:
-        self._camera, self._ask, self.close = camera, ask, close
+        self._camera, self._ask, self.close = camera, ask, close_host
         self.description = origin.description
         self.end_reason: EndReason = "end_of_source"
         opened = self._ask_host("open")

@@ -97,37 +97,37 @@ def parse_places(texts: Iterable[str]) -> dict[str, Place]:
     places: dict[str, Place] = {}
     for text in texts:
         agent, _, text_of_place = text.partition("=")
-        found = next((place for place in PLACES if place == text_of_place), None)
-        if found is None or not agent:
+        chosen_place = next((place for place in PLACES if place == text_of_place), None)
+        if chosen_place is None or not agent:
             name = to_caller("--place", "place")
             raise PlacingError(f"{name} {text!r}: AGENT=WHERE is needed, WHERE one of {', '.join(PLACES)}")
-        places[agent] = found
+        places[agent] = chosen_place
     return places
 
 
 def places_of(
     engine: Engine,
     default: Place,
-    wanted: Mapping[str, Place],
+    by_agent: Mapping[str, Place],
     cues: Mapping[str, CueDeclaration] | None = None,
 ) -> dict[tuple[str, str], Place]:
-    """(plate, agent) -> where it works: as `wanted`, else as the graph says, else by `default`.
+    """(plate, agent) -> where it works: as `by_agent`, else as the graph says, else by `default`.
 
-    `wanted` names an agent as AGENT, in every plate, or as PLATE.AGENT. Agents that keep what cannot be sent
+    `by_agent` has AGENT, in every plate, or PLATE.AGENT as keys. Agents that keep what cannot be sent
     (`opaque`) are in the engine's process unless they are put elsewhere, which is refused.
 
     Raises:
-        PlacingError: `wanted` names no agent, or an opaque agent is put into a process.
+        PlacingError: `by_agent` names no agent, or an opaque agent is put into a process.
     """
     declarations = _declarations(engine, cues)
     places: dict[tuple[str, str], Place] = {}
-    unused = set(wanted)
+    unused = set(by_agent)
     for plate, compiled in engine.plates.items():
         for agent in compiled.cues:
             node = compiled.plate.agent(agent)
-            wanted_name = next((name for name in (f"{plate}.{agent}", agent) if name in wanted), None)
+            wanted_name = next((name for name in (f"{plate}.{agent}", agent) if name in by_agent), None)
             unused -= {f"{plate}.{agent}", agent}
-            place = node.on if wanted_name is None else wanted[wanted_name]
+            place = node.on if wanted_name is None else by_agent[wanted_name]
             if declarations[node.agent.cue].opaque:
                 if place == "process":
                     raise PlacingError(

@@ -123,8 +123,8 @@ class Placed:
 class Learnt(Mapping[str, NDArray[Any]]):
     """A reference that is asked for when it is looked into; one that is only blended never crosses."""
 
-    def __init__(self, of: Placed, method: str, planes: Planes, arguments: tuple[Any, ...]) -> None:
-        self.of, self.method, self.arguments = of, method, arguments
+    def __init__(self, placed: Placed, method: str, planes: Planes, arguments: tuple[Any, ...]) -> None:
+        self.of, self.method, self.arguments = placed, method, arguments
         self.planes: Planes | None = planes
         self._arrays: Reference = {}
 
@@ -157,9 +157,9 @@ class Pending:
 
     __slots__ = ("agent", "asked", "is_sent", "lost", "outcome", "patience", "sent_at", "until")
 
-    def __init__(self, asked: Call, patience: WaitBudget | None) -> None:
-        self.agent = asked.agent
-        self.asked, self.patience = asked, patience
+    def __init__(self, call: Call, patience: WaitBudget | None) -> None:
+        self.agent = call.agent
+        self.asked, self.patience = call, patience
         self.is_sent, self.sent_at = False, 0.0
         self.until: float | None = None
         self.outcome: Answer | Exception | None = None

@@ -47,23 +47,23 @@ def pack(costs: Mapping[str, float], workers: int) -> list[set[str]]:
     >>> [sorted(own) for own in pack({"a": 3.0, "b": 2.0, "c": 2.0}, 2)]
     [['a'], ['b', 'c']]
     """
-    loads, own = [0.0] * workers, [set[str]() for _ in range(workers)]
+    loads, packing = [0.0] * workers, [set[str]() for _ in range(workers)]
     for agent in sorted(costs, key=lambda name: (-costs[name], name)):
         worker = loads.index(min(loads))
-        own[worker].add(agent)
+        packing[worker].add(agent)
         loads[worker] += costs[agent]
-    return own
+    return packing
 
 
 def busiest(costs: Mapping[str, float], packing: Sequence[set[str]]) -> float:
     """The load of the worker that has most to do."""
-    return max((sum(costs[agent] for agent in own) for own in packing), default=0.0)
+    return max((sum(costs[agent] for agent in agents) for agents in packing), default=0.0)
 
 
 def repack(costs: Mapping[str, float], packing: Sequence[set[str]]) -> list[set[str]] | None:
     """A better packing of the same agents, or None where moving them is not worth it."""
-    now, better = busiest(costs, packing), pack(costs, len(packing))
-    if now < NOTEWORTHY_S or busiest(costs, better) >= WORTH_MOVING * now:
+    load, better = busiest(costs, packing), pack(costs, len(packing))
+    if load < NOTEWORTHY_S or busiest(costs, better) >= WORTH_MOVING * load:
         return None
     return better
 
@@ -308,16 +308,18 @@ class WorkerPool:
 
     def set_apart(self, slot: Slot, late: str) -> None:
         """Leave the slot's worker to the agent that it still works for: the others are not to wait for it."""
-        empty = (one for one in self.slots if not one.agents)
-        own = next((one for one in empty if one.worker is None and one.coming is None), None)
-        if own is None:
-            own = Slot()
-            self.slots.append(own)
-            self._free.append(own)
-        own.worker, slot.worker = slot.worker, None
+        empty = (candidate for candidate in self.slots if not candidate.agents)
+        spare = next(
+            (candidate for candidate in empty if candidate.worker is None and candidate.coming is None), None
+        )
+        if spare is None:
+            spare = Slot()
+            self.slots.append(spare)
+            self._free.append(spare)
+        spare.worker, slot.worker = slot.worker, None
         slot.agents.discard(late)
-        own.agents.add(late)
-        self._slot_of[late] = own
+        spare.agents.add(late)
+        self._slot_of[late] = spare
 
     def come(self, slot: Slot) -> Worker | None:
         """The slot's worker, if it is there; else one is being started."""
@@ -327,13 +329,13 @@ class WorkerPool:
                 slot.coming, slot.worker = None, coming.result()
         return slot.worker
 
-    def await_answer(self, slot: Slot, until: float | None) -> Worker:
-        """The slot's worker; raises Late when it is not there by `until`, AgentUnavailable, NoWorkerError."""
+    def await_answer(self, slot: Slot, deadline: float | None) -> Worker:
+        """The slot's worker; raises Late if it is absent at `deadline`, AgentUnavailable, NoWorkerError."""
         worker = self.come(slot)
         if worker is not None:
             return worker
         coming = self.start(slot)
-        if not wait([coming], None if until is None else max(until - time.monotonic(), 0.0)).done:
+        if not wait([coming], None if deadline is None else max(deadline - time.monotonic(), 0.0)).done:
             raise Late("its worker was not there by the deadline")
         slot.coming = None
         slot.worker = worker = coming.result()

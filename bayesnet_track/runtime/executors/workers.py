@@ -80,7 +80,7 @@ class ForkServer:
         """
         ours, theirs = socket.socketpair()
         try:
-            held, lifeline = tie()
+            tied, lifeline = tie()
         except OSError:
             ours.close()
             theirs.close()
@@ -88,14 +88,14 @@ class ForkServer:
         pid = None
         try:
             with self._lock:
-                pid = self._ask(WORKER, (theirs.fileno(), held))
+                pid = self._ask(WORKER, (theirs.fileno(), tied))
                 if pid is None and not self._is_closed:
                     self._end()
                     self._start()
-                    pid = self._ask(WORKER, (theirs.fileno(), held))
+                    pid = self._ask(WORKER, (theirs.fileno(), tied))
         finally:
             theirs.close()
-            cut(held)
+            cut(tied)
             if pid is None:
                 ours.close()
                 cut(lifeline)
@@ -125,21 +125,21 @@ class ForkServer:
     def _start(self) -> None:
         self._control, theirs = socket.socketpair()
         self._is_ready = False
-        held, self._lifeline = tie()
+        tied, self._lifeline = tie()
         numbers = (theirs.fileno(), self._frames, self._memory_mb)
         try:
             with _cue_files() as files:
                 self._process = subprocess.Popen(
-                    python(f"from {MODULE} import main; main{numbers}", descriptor=held),
+                    python(f"from {MODULE} import main; main{numbers}", descriptor=tied),
                     stdin=files,
-                    pass_fds=(*numbers[:2], held),
+                    pass_fds=(*numbers[:2], tied),
                     env={**os.environ, **ONE_THREAD},
                     # Ctrl-C in a terminal reaches the engine only, which then ends its workers.
                     start_new_session=True,
                 )
         finally:
             theirs.close()
-            cut(held)
+            cut(tied)
 
     def _ask(self, request: bytes, files: tuple[int, ...]) -> int | None:
         """Its answer to a request; None when it has ended, and when it hangs, for which it is killed."""
@@ -278,9 +278,9 @@ class Worker:
         until: the moment by which it has to answer.
     """
 
-    def __init__(self, launcher: Launcher, started: tuple[socket.socket, int, int], limits: Limits) -> None:
+    def __init__(self, launcher: Launcher, process: tuple[socket.socket, int, int], limits: Limits) -> None:
         self._launcher = launcher
-        self.channel, self._lifeline, self.pid = started
+        self.channel, self._lifeline, self.pid = process
         # A worker that is stopped reads nothing, or has sent half an answer: neither is waited for for ever.
         patience = struct.pack("@ll", int(limits.answer_s), int(limits.answer_s % 1 * 1e6))
         for side in (socket.SO_SNDTIMEO, socket.SO_RCVTIMEO):

@@ -80,69 +80,69 @@ class Controls:
                 self.to("running")
             return self.has_stopped
 
-    def ask(self, what: Mapping[str, Any]) -> None:
+    def ask(self, request: Mapping[str, Any]) -> None:
         """Do what a page asks for: `{"do": NAME, ...}`; see the docstrings of `_do_NAME`.
 
         Raises:
             Refused: it cannot be done.
         """
-        do = getattr(self, f"_do_{what.get('do')}", None)
+        do = getattr(self, f"_do_{request.get('do')}", None)
         if do is None:
             raise Refused("no such thing to do")
         with self.news:
-            do(what)
+            do(request)
             self._change()
 
-    def _do_pause(self, what: Mapping[str, Any]) -> None:
+    def _do_pause(self, request: Mapping[str, Any]) -> None:
         """Wait behind the frame that is under way."""
         self._is_paused, self._steps = True, 0
 
-    def _do_go(self, what: Mapping[str, Any]) -> None:
+    def _do_go(self, request: Mapping[str, Any]) -> None:
         """Go on."""
         self._is_paused, self._steps = False, 0
 
-    def _do_step(self, what: Mapping[str, Any]) -> None:
+    def _do_step(self, request: Mapping[str, Any]) -> None:
         """Take one frame, then wait."""
         self._is_paused = True
         self._steps = min(self._steps + 1, 100)
 
-    def _do_stop(self, what: Mapping[str, Any]) -> None:
+    def _do_stop(self, request: Mapping[str, Any]) -> None:
         """End the run behind the frame that is under way."""
         self.has_stopped = True
 
-    def _do_leave(self, what: Mapping[str, Any]) -> None:
+    def _do_leave(self, request: Mapping[str, Any]) -> None:
         """Close the view, once the run has ended."""
         if self.phase != "ended":
             raise Refused("the run goes on: stop it first")
         self.is_left = True
 
-    def _do_switch(self, what: Mapping[str, Any]) -> None:
+    def _do_switch(self, request: Mapping[str, Any]) -> None:
         """`target`, `agent`, `on`: switch an agent, until it is released."""
-        on = what.get("on")
+        on = request.get("on")
         if not isinstance(on, bool):
             raise Refused("on or off?")
-        self.board.switch(*self._find_named(what), on=on)
+        self.board.switch(*self._find_named(request), on=on)
 
-    def _do_release(self, what: Mapping[str, Any]) -> None:
+    def _do_release(self, request: Mapping[str, Any]) -> None:
         """`target`, `agent`: give an agent back to the rules."""
-        self.board.release(*self._find_named(what))
+        self.board.release(*self._find_named(request))
 
-    def _do_start(self, what: Mapping[str, Any]) -> None:
+    def _do_start(self, request: Mapping[str, Any]) -> None:
         """`boxes`: `[{"box": [x, y, w, h], "plate": NAME or null}, ...]`; begin with them."""
         if self._check is None:
             raise Refused("the run has begun already")
-        boxes = what.get("boxes")
+        boxes = request.get("boxes")
         if not isinstance(boxes, list) or not 1 <= len(boxes) <= 100:
             raise Refused("draw a box around what is to be tracked")
-        starts = tuple(_start(one) for one in boxes)
+        starts = tuple(_start(entry) for entry in boxes)
         try:
             self._check(starts)
         except StartError as error:
             raise Refused(str(error)) from error
         self._starts = starts
 
-    def _find_named(self, what: Mapping[str, Any]) -> tuple[str, str]:
-        target, agent = what.get("target"), what.get("agent")
+    def _find_named(self, request: Mapping[str, Any]) -> tuple[str, str]:
+        target, agent = request.get("target"), request.get("agent")
         if not self.can_switch:
             raise Refused("this run repeats an earlier one: what was switched then is switched now")
         if not (isinstance(target, str) and isinstance(agent, str)):
@@ -160,9 +160,9 @@ class Controls:
         self.news.notify_all()
 
 
-def _start(given: Any) -> Start:
-    box = given.get("box") if isinstance(given, dict) else None
-    plate = given.get("plate") if isinstance(given, dict) else None
+def _start(entry: Any) -> Start:
+    box = entry.get("box") if isinstance(entry, dict) else None
+    plate = entry.get("plate") if isinstance(entry, dict) else None
     numbers = box if isinstance(box, list) else []
     if len(numbers) != 4 or any(type(value) not in (int, float) for value in numbers):
         raise Refused("a box is four numbers x, y, w, h")

@@ -54,20 +54,20 @@ class EventBuffer:
             end = self._ends[-1] if self._ends else 0
             # What a full disk cut off is written over.
             self._file.seek(end)
-            rest = memoryview(line)
-            while rest:
-                rest = rest[self._file.write(rest) :]
+            remainder = memoryview(line)
+            while remainder:
+                remainder = remainder[self._file.write(remainder) :]
             self._ends.append(end + len(line))
 
-    def read(self, first: int, most: int) -> list[bytes]:
-        """Lines from number `first` on, at most `most` bytes together, but one at least if there is one."""
+    def read(self, first: int, limit: int) -> list[bytes]:
+        """Lines from number `first` on, at most `limit` bytes together, but one at least if there is one."""
         with self._lock:
             if not 0 <= first < len(self._ends):
                 return []
             begin = place = self._ends[first - 1] if first else 0
             ends: list[int] = []
             for number in range(first, len(self._ends)):
-                if ends and self._ends[number] - begin > most:
+                if ends and self._ends[number] - begin > limit:
                     break
                 ends.append(self._ends[number])
             self._file.seek(begin)
@@ -120,12 +120,12 @@ class Thumbnails:
 
     def offer(self, frame: int, image: Image, must: bool = False) -> None:
         """Take the picture (H, W, 3) uint8 BGR of a frame, if it is time for one or it `must` be there."""
-        now = time.monotonic()
+        moment = time.monotonic()
         with self._news:
             full = len(self._waiting) >= (4 * WAITING if must else WAITING)
-            if full or frame in self._kept or not (must or now >= self._due):
+            if full or frame in self._kept or not (must or moment >= self._due):
                 return
-            self._due = now + self._pause_s
+            self._due = moment + self._pause_s
             if must:
                 self._musts.add(frame)
             self._waiting.append((frame, image))
@@ -136,8 +136,8 @@ class Thumbnails:
         with self._news:
             if not self._order:
                 return None
-            found = self._order[max(0, bisect_right(self._order, frame) - 1)]
-            return found, self._kept[found]
+            number = self._order[max(0, bisect_right(self._order, frame) - 1)]
+            return number, self._kept[number]
 
     @property
     def newest(self) -> int:
@@ -187,8 +187,8 @@ def encode(image: Image) -> bytes:
     if scale < 1.0:
         size = (max(1, round(columns * scale)), max(1, round(rows * scale)))
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    return data.tobytes() if done else b""
+    is_encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return data.tobytes() if is_encoded else b""
 
 
 WINDOW_S = 2.0
@@ -249,7 +249,7 @@ class Feed:
         self._has_event = False
         spent = {name: round(seconds, 7) for name, seconds in result.seconds.items()}
         timing = {"frame": result.frame.index, "seconds": round(result.total_seconds, 7), "parts": spent}
-        frames = ",".join(to_json(one) for one in result.targets)
+        frames = ",".join(to_json(line) for line in result.targets)
         self._write(f'{{"frames":[{frames}],"timing":{json.dumps(timing)}}}')
 
     def recall(
@@ -279,8 +279,8 @@ class Feed:
         if self._newest is not None:
             self._thumbnails.offer(self._newest.frame.index, self._newest.frame.image, must=True)
 
-    def _add(self, what: Mapping[str, Any]) -> None:
-        self._write(json.dumps(what))
+    def _add(self, message: Mapping[str, Any]) -> None:
+        self._write(json.dumps(message))
 
     def _write(self, text: str) -> None:
         if self.trouble:

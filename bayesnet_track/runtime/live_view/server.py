@@ -58,11 +58,11 @@ class Connections:
     def enters(self, connection: socket.socket, client: str) -> None:
         """A client has connected; where that is one too many, the oldest of whoever holds most is closed."""
         with self._lock:
-            held = Counter(one.client for one in self._unproven.values())
-            if held[client] >= MOST_UNPROVEN_OF_ONE:
+            counts = Counter(unproven.client for unproven in self._unproven.values())
+            if counts[client] >= MOST_UNPROVEN_OF_ONE:
                 self._close_oldest(client)
-            elif held.total() >= MOST_UNPROVEN:
-                self._close_oldest(held.most_common(1)[0][0])
+            elif counts.total() >= MOST_UNPROVEN:
+                self._close_oldest(counts.most_common(1)[0][0])
             self._unproven[connection] = _Unproven(client, self._clock())
 
     def proves(self, connection: socket.socket) -> bool:
@@ -85,11 +85,17 @@ class Connections:
         """Close those whose time is over; to be called now and then."""
         with self._lock:
             late = self._clock() - self._unproven_s
-            for connection in [one for one, about in self._unproven.items() if about.since < late]:
+            for connection in [
+                connection_late
+                for connection_late, unproven in self._unproven.items()
+                if unproven.since < late
+            ]:
                 self._close(connection)
 
     def _close_oldest(self, client: str) -> None:
-        self._close(next(one for one, about in self._unproven.items() if about.client == client))
+        self._close(
+            next(connection for connection, unproven in self._unproven.items() if unproven.client == client)
+        )
 
     def _close(self, connection: socket.socket) -> None:
         # Its thread, which waits for it, finds its end, and closes it.
@@ -119,13 +125,13 @@ class Served(Protocol):
     def page(self) -> tuple[bytes, str]:
         """The page, and its content security policy."""
 
-    def feed(self, first: int, seen: int) -> bytes:
-        """JSON: lines from number `first` on, and how things stand; waits while `seen` is what there is."""
+    def feed(self, first: int, version: int) -> bytes:
+        """JSON: lines from number `first` on, and how things stand; waits while `version` is the newest."""
 
     def picture(self, frame: int) -> tuple[int, bytes] | None:
         """A frame's picture as JPEG, or an earlier one, with its frame."""
 
-    def ask(self, what: Mapping[str, Any]) -> None:
+    def ask(self, request: Mapping[str, Any]) -> None:
         """Do something; raises Refused."""
 
 
@@ -183,8 +189,8 @@ class Server(socketserver.ThreadingMixIn, HTTPServer):
         if name in ("localhost", self.host):
             return True
         with contextlib.suppress(ValueError):
-            found = ipaddress.ip_address(name.removeprefix("[").removesuffix("]"))
-            return found.is_loopback or not ipaddress.ip_address(self.host).is_loopback
+            address = ipaddress.ip_address(name.removeprefix("[").removesuffix("]"))
+            return address.is_loopback or not ipaddress.ip_address(self.host).is_loopback
         return False
 
     def close(self) -> None:
@@ -237,14 +243,14 @@ class Handler(BaseHTTPRequestHandler):
             body, policy = served.page()
             self._answer(body, "text/html; charset=utf-8", {"Content-Security-Policy": policy})
         elif path == "feed":
-            first, seen = self._number("from"), self._number("seen")
-            self._answer(served.feed(first, seen), "application/json")
+            first, version = self._number("from"), self._number("seen")
+            self._answer(served.feed(first, version), "application/json")
         elif path == "picture":
-            found = served.picture(self._number("frame"))
-            if found is None:
+            picture = served.picture(self._number("frame"))
+            if picture is None:
                 self._answer(b"", "image/jpeg", {}, HTTPStatus.NO_CONTENT)  # yet
             else:
-                self._answer(found[1], "image/jpeg", {"X-Frame": str(found[0])})
+                self._answer(picture[1], "image/jpeg", {"X-Frame": str(picture[0])})
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "no such page")
 
@@ -266,13 +272,13 @@ class Handler(BaseHTTPRequestHandler):
         if int(length) > LARGEST_REQUEST:
             return self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "too much")
         try:
-            what = json.loads(self.rfile.read(int(length)))
-            if not isinstance(what, dict):
+            request = json.loads(self.rfile.read(int(length)))
+            if not isinstance(request, dict):
                 raise Refused("an object is needed")
-            self.server.served.ask(what)
+            self.server.served.ask(request)
         except (ValueError, RecursionError) as error:
-            said = str(error) if isinstance(error, Refused) else "not JSON"
-            return self._answer(json.dumps({"error": said}).encode(), "application/json", {}, 400)
+            reason = str(error) if isinstance(error, Refused) else "not JSON"
+            return self._answer(json.dumps({"error": reason}).encode(), "application/json", {}, 400)
         self._answer(b"{}", "application/json")
 
     def _allowed(self) -> str | None:
@@ -302,10 +308,10 @@ class Handler(BaseHTTPRequestHandler):
         self._answer(reason.encode(), "text/plain; charset=utf-8", {"Connection": "close"}, status)
 
     def _answer(
-        self, body: bytes, kind: str, more: Mapping[str, str] | None = None, status: int = 200
+        self, body: bytes, kind: str, headers: Mapping[str, str] | None = None, status: int = 200
     ) -> None:
         self.send_response(status)
-        for name, value in {**HEADERS, **(more or {}), "Content-Type": kind}.items():
+        for name, value in {**HEADERS, **(headers or {}), "Content-Type": kind}.items():
             self.send_header(name, value)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()

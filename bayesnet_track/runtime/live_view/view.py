@@ -71,11 +71,11 @@ class LiveView:
         with self._news:
             return self._asking > 0 or time.monotonic() - self._asked < GONE_S
 
-    def shows(self, graph: CheckedGraph, source: FrameSource | None = None, **about: Any) -> None:
+    def shows(self, graph: CheckedGraph, source: FrameSource | None = None, **details: Any) -> None:
         """Show, before the first frame is done, the graph, the source's name and size."""
         self._feed.graph = graph
         with self._news:
-            self._about |= {"graph": graph.spec.name, "plates": list(graph.targets), **about}
+            self._about |= {"graph": graph.spec.name, "plates": list(graph.targets), **details}
             if source is not None:
                 size = {"width": source.width, "height": source.height}
                 self._about |= {"source": source.description, "expected": source.expected_frames, **size}
@@ -147,13 +147,13 @@ class LiveView:
         """The page, and its content security policy."""
         return self._page
 
-    def feed(self, first: int, seen: int) -> bytes:
+    def feed(self, first: int, version: int) -> bytes:
         """Lines from number `first` on, with how things stand; waits for a while where nothing is new."""
         began = time.monotonic()
         with self._news:
             self._asking += 1
         try:
-            lines = self._lines(first, seen, began)
+            lines = self._lines(first, version, began)
         finally:
             with self._news:
                 self._asking -= 1
@@ -165,18 +165,18 @@ class LiveView:
         """The picture of a frame, or of one before it."""
         return self._thumbnails.of(frame)
 
-    def ask(self, what: Mapping[str, Any]) -> None:
+    def ask(self, request: Mapping[str, Any]) -> None:
         """Do what a person asks for on the page; raises Refused."""
-        self.controls.ask(what)
+        self.controls.ask(request)
 
-    def _lines(self, first: int, seen: int, began: float) -> list[bytes]:
+    def _lines(self, first: int, version: int, began: float) -> list[bytes]:
         buffer, controls = self._feed.lines, self.controls
         with self._news:
-            self._news.wait_for(lambda: len(buffer) > first or controls.version != seen, WAIT_S)
-            if controls.version == seen:
+            self._news.wait_for(lambda: len(buffer) > first or controls.version != version, WAIT_S)
+            if controls.version == version:
                 # Few answers that say much, not many that say little.
                 self._news.wait_for(
-                    lambda: controls.version != seen, max(0.0, began + GATHER_S - time.monotonic())
+                    lambda: controls.version != version, max(0.0, began + GATHER_S - time.monotonic())
                 )
         return buffer.read(first, AT_A_TIME)
 

@@ -88,9 +88,9 @@ def check_kept(graph: GraphSpec) -> None:
                     f"allowed: belief: particles, or no {keep}"
                 )
             if node.modes or node.category:
-                keep, what = setting("--keep-beliefs"), "modes" if node.modes else "categories"
+                keep, noun = setting("--keep-beliefs"), "modes" if node.modes else "categories"
                 raise UnkeptBeliefError(
-                    f"{keep}: {kind}.{name} is Gaussian in {what}, which cannot be smoothed yet; "
+                    f"{keep}: {kind}.{name} is Gaussian in {noun}, which cannot be smoothed yet; "
                     f"allowed: belief: particles, or no {keep}"
                 )
 
@@ -98,14 +98,16 @@ def check_kept(graph: GraphSpec) -> None:
 class BeliefWriter(LineFile):
     """``beliefs.jsonl``: a new file, or one that is continued."""
 
-    def write(self, frame: int, target: str, state: TargetState, heard: AgentMessages | None = None) -> None:
+    def write(
+        self, frame: int, target: str, state: TargetState, messages: AgentMessages | None = None
+    ) -> None:
         """Add the belief of one target in one frame, and what its agents said, to the next flush."""
-        known = state.motion_context
+        context = state.motion_context
         line = {"frame": frame, "target": target, "time": state.time, **_posterior_to_plain(state.belief)}
-        if known is not None and known.influences is not None:
-            line["influences"] = _influences_to_plain(known.influences)
-        if heard is not None:
-            line |= _heard_to_plain(heard)
+        if context is not None and context.influences is not None:
+            line["influences"] = _influences_to_plain(context.influences)
+        if messages is not None:
+            line |= _heard_to_plain(messages)
         self.append(json.dumps(line, separators=(",", ":")))
 
 
@@ -147,11 +149,11 @@ def _posterior_to_plain(posterior: Posterior) -> dict[str, Any]:
 
 def _heaviest_cells(grid: GridBelief) -> ParticleSet:
     flat = grid.mass.ravel()
-    chosen = np.sort(np.argsort(flat)[-MOST_CELLS:])
-    chosen = chosen[flat[chosen] > 0]
-    at = np.unravel_index(chosen, grid.mass.shape)
-    columns = [values[at[AXIS[name]]] for values, name in zip(grid.values, grid.fields, strict=True)]
-    return ParticleSet(np.stack(columns, axis=1), grid.fields, LogWeights.normalise(np.log(flat[chosen]))[0])
+    cells = np.sort(np.argsort(flat)[-MOST_CELLS:])
+    cells = cells[flat[cells] > 0]
+    indices = np.unravel_index(cells, grid.mass.shape)
+    columns = [values[indices[AXIS[name]]] for values, name in zip(grid.values, grid.fields, strict=True)]
+    return ParticleSet(np.stack(columns, axis=1), grid.fields, LogWeights.normalise(np.log(flat[cells]))[0])
 
 
 def _influences_to_plain(influences: Influences) -> dict[str, Any]:
@@ -165,19 +167,19 @@ def _influences_to_plain(influences: Influences) -> dict[str, Any]:
     return plain
 
 
-def _heard_to_plain(heard: AgentMessages) -> dict[str, Any]:
+def _heard_to_plain(messages: AgentMessages) -> dict[str, Any]:
     plain: dict[str, Any] = {}
-    if heard.log_likelihoods:
-        said = heard.log_likelihoods.items()
-        plain["log_likelihoods"] = {agent: _to_text(values, "<f4") for agent, values in said}
-    if heard.measured:
+    if messages.log_likelihoods:
+        answers = messages.log_likelihoods.items()
+        plain["log_likelihoods"] = {agent: _to_text(values, "<f4") for agent, values in answers}
+    if messages.measured:
         plain["measured"] = {
             agent: {
-                "fields": list(one.fields),
-                "mean": _to_text(one.mean, "<f8"),
-                "covariance": _to_text(one.covariance, "<f8"),
+                "fields": list(measurement.fields),
+                "mean": _to_text(measurement.mean, "<f8"),
+                "covariance": _to_text(measurement.covariance, "<f8"),
             }
-            for agent, one in heard.measured.items()
+            for agent, measurement in messages.measured.items()
         }
     return plain
 
@@ -196,11 +198,13 @@ def _kept(line: dict[str, Any]) -> KeptBelief:
 
 
 def _heard(line: dict[str, Any], posterior: ParticleSet | GaussianPosterior) -> AgentMessages:
-    said = {str(a): _from_text(text, "<f4") for a, text in line.get("log_likelihoods", {}).items()}
-    for agent, values in said.items():
+    answers = {str(a): _from_text(text, "<f4") for a, text in line.get("log_likelihoods", {}).items()}
+    for agent, values in answers.items():
         if not isinstance(posterior, ParticleSet) or len(values) != len(posterior):
             raise ValueError(f"{len(values)} log-likelihoods of {agent} for {len(posterior)} particles")
-    return AgentMessages(said, {str(a): _measured(one) for a, one in line.get("measured", {}).items()})
+    return AgentMessages(
+        answers, {str(a): _measured(text_of) for a, text_of in line.get("measured", {}).items()}
+    )
 
 
 def _measured(plain: dict[str, Any]) -> Measurement:

@@ -96,16 +96,16 @@ def beliefs_as_dataset(run: Run, draws: int = 500, seed: int = 0) -> Any:
             variables[name] = np.full(shape if values.ndim else shape[2:], np.nan, dtype=np.float32)
         variables[name][..., targets[target], frames[frame]] = values
 
-    for kept in (kept for lifetime in kept_lifetimes(run) for kept in lifetime):
-        at = kept.target, kept.frame
-        states, chosen = _draw(kept.posterior, draws, streams.of(*at[:1], "", kept.frame, "arviz"))
-        for name, values in zip(kept.posterior.fields, states.T, strict=True):
-            put(name, *at, resizing.field(name, values))
-        for agent, likelihoods in kept.heard.log_likelihoods.items():
-            put(f"log_likelihood_{agent}", *at, likelihoods[chosen])
-        for agent, measurement in kept.heard.measured.items():
+    for belief in (belief for lifetime in kept_lifetimes(run) for belief in lifetime):
+        key = belief.target, belief.frame
+        states, picks = _draw(belief.posterior, draws, streams.of(*key[:1], "", belief.frame, "arviz"))
+        for name, values in zip(belief.posterior.fields, states.T, strict=True):
+            put(name, *key, resizing.field(name, values))
+        for agent, likelihoods in belief.heard.log_likelihoods.items():
+            put(f"log_likelihood_{agent}", *key, likelihoods[picks])
+        for agent, measurement in belief.heard.measured.items():
             for name, value in zip(measurement.fields, measurement.mean, strict=True):
-                put(f"measured_{agent}_{name}", *at, resizing.field(name, np.asarray(value)))
+                put(f"measured_{agent}_{name}", *key, resizing.field(name, np.asarray(value)))
     times = {line.frame: line.time_s for line in run.metrics}
     return xarray.Dataset(
         {name: (("chain", "draw", "target", "frame")[4 - v.ndim :], v) for name, v in variables.items()},
@@ -130,8 +130,8 @@ def _draw(
         states = posterior.mean + rng.standard_normal((draws, lower.shape[1])) @ lower.T
         states[:, 2:4] = np.maximum(states[:, 2:4], 1.0)
         return states, np.empty(0, dtype=np.intp)
-    chosen = rng.permutation(systematic(posterior.weights.weights, draws, rng))
-    return posterior.states[chosen], chosen
+    picks = rng.permutation(systematic(posterior.weights.weights, draws, rng))
+    return posterior.states[picks], picks
 
 
 def _xarray() -> Any:
@@ -148,7 +148,7 @@ def _xarray() -> Any:
 
 @dataclass(frozen=True)
 class DriftCheck:
-    """What became of a target's statuses.
+    """Counts of a target's statuses before and after.
 
     Attributes:
         target: target id.
@@ -173,18 +173,18 @@ def judge_afterwards(run: Run) -> tuple[Run, tuple[DriftCheck, ...]]:
     is, and so do targets whose type has no levels for it. As in the calibration, the level is for all frames
     of the run after the first of the target, with a score of 0 where it has ended.
     """
-    lines, found = {(line.target, line.frame): line for line in run.metrics}, list[DriftCheck]()
+    lines, checks = {(line.target, line.frame): line for line in run.metrics}, list[DriftCheck]()
     frames = sorted({line.frame for line in run.metrics} | run.seconds.keys())
     for target, kind in run.kinds.items():
         rule = _rule(run.spec.targets[kind])
-        every = [line for line in run.metrics if line.target == target]
-        own = every[1:]
-        if rule is None or not rule.afterwards or not own:
+        target_lines = [line for line in run.metrics if line.target == target]
+        judged = target_lines[1:]
+        if rule is None or not rule.afterwards or not judged:
             continue
-        level, changed = _judge(rule, own, [frame for frame in frames if frame > every[0].frame])
-        lines.update(((line.target, line.frame), line) for line in changed)
-        found.append(DriftCheck(target, level, _count(own), _count(changed), len(own)))
-    return replace(run, metrics=tuple(lines.values())), tuple(found)
+        level, updated = _judge(rule, judged, [frame for frame in frames if frame > target_lines[0].frame])
+        lines.update(((line.target, line.frame), line) for line in updated)
+        checks.append(DriftCheck(target, level, _count(judged), _count(updated), len(judged)))
+    return replace(run, metrics=tuple(lines.values())), tuple(checks)
 
 
 def _rule(kind: Target) -> Guarantee | None:
@@ -197,16 +197,16 @@ def _count(lines: Sequence[FrameMetrics]) -> int:
 
 
 def _judge(
-    rule: Guarantee, own: Sequence[FrameMetrics], frames: Sequence[int]
+    rule: Guarantee, judged: Sequence[FrameMetrics], frames: Sequence[int]
 ) -> tuple[float, list[FrameMetrics]]:
     """The level for a target's `frames` after its first, and its lines by it."""
-    scores = dict.fromkeys(frames, 0.0) | {line.frame: line.score for line in own}
+    scores = dict.fromkeys(frames, 0.0) | {line.frame: line.score for line in judged}
     means = means_of(list(scores.values()), rule.frames)
     level = level_afterwards(rule.afterwards, means)
     assured = dict(zip(scores, (means > level).tolist(), strict=True))
     return level, [
         line if line.is_gone else replace(line, status="tracking" if assured[line.frame] else "uncertain")
-        for line in own
+        for line in judged
     ]
 
 
@@ -239,8 +239,8 @@ def as_jsonl(run: Run, lost: bool = True) -> str:
     """JSON Lines: an object a row with the columns of `Run.columns`; `active` is a list."""
     lines = []
     for row in _rows(run, lost):
-        shown: dict[str, Any] = {**row, "active": str(row["active"]).split()}
-        lines.append(json.dumps({name: _finite(value) for name, value in shown.items()}, allow_nan=False))
+        cells: dict[str, Any] = {**row, "active": str(row["active"]).split()}
+        lines.append(json.dumps({name: _finite(value) for name, value in cells.items()}, allow_nan=False))
     return "".join(f"{line}\n" for line in lines)
 
 
@@ -250,7 +250,7 @@ def as_coco(run: Run, lost: bool = False) -> str:
     Categories are the graph's plates, from 1; images are numbered by frame + 1 and named as the images of the
     source, or ``000000.jpg`` by frame where it has none. Boxes are in px from the top-left corner.
     """
-    started = run.started
+    header = run.started
     numbers = _numbers(run)
     plates = {name: number for number, name in enumerate(run.spec.targets, 1)}
     strange = set(run.kinds.values()) - plates.keys()
@@ -273,15 +273,15 @@ def as_coco(run: Run, lost: bool = False) -> str:
         for number, line in enumerate(_lines(run, lost), 1)
     ]
     content = {
-        "info": {"description": f"tracks of {started.graph} on {started.source}", "version": "1"},
+        "info": {"description": f"tracks of {header.graph} on {header.source}", "version": "1"},
         "licenses": [],
-        "videos": [{"id": 1, "name": started.source, "width": started.width, "height": started.height}],
+        "videos": [{"id": 1, "name": header.source, "width": header.width, "height": header.height}],
         "images": [
             {
                 "id": frame + 1,
                 "file_name": names[frame] if names else f"{frame:06d}.jpg",
-                "width": started.width,
-                "height": started.height,
+                "width": header.width,
+                "height": header.height,
                 "video_id": 1,
                 "frame_id": frame,
             }
@@ -323,9 +323,9 @@ def as_world(run: Run, lost: bool = False) -> str:
         state = line.state
         if "x_m" not in state:
             continue
-        across, along = state["x_m_sd"] ** 2, state["y_m_sd"] ** 2
-        both = state["xy_corr"] * math.sqrt(across * along)
-        longest = (across + along) / 2.0 + math.hypot((across - along) / 2.0, both)
+        var_x, along = state["x_m_sd"] ** 2, state["y_m_sd"] ** 2
+        covariance = state["xy_corr"] * math.sqrt(var_x * along)
+        longest = (var_x + along) / 2.0 + math.hypot((var_x - along) / 2.0, covariance)
         speed = round(math.hypot(state["vx"], state["vy"]), 4) if "vx" in state else ""
         place = (round(state[name], 4) for name in ("x_m", "y_m"))
         writer.writerow([round(line.time_s, 6), line.target, *place, round(math.sqrt(longest), 4), speed])

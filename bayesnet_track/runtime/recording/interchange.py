@@ -64,16 +64,16 @@ AGENT_COLUMNS = ("frame", "time_s", "target", "agent", "silent", "kl", "contribu
 
 
 def track_rows(
-    metrics: Iterable[FrameMetrics], kinds: Mapping[str, str], further: Sequence[str] = ()
+    metrics: Iterable[FrameMetrics], kinds: Mapping[str, str], extra: Sequence[str] = ()
 ) -> list[Row]:
-    """Rows of `TRACK_COLUMNS`, then of `further` numbers by name: fields of the state, answers to queries.
+    """Rows of `TRACK_COLUMNS`, then of `extra` numbers by name: fields of the state, answers to queries.
 
     `kinds` is target id -> plate.
     """
     return [
         {name: get(line) for name, get in TRACK_COLUMNS.items()}
         | {"kind": kinds.get(line.target)}
-        | {name: line.state.get(name, line.category.get(name, line.queries.get(name))) for name in further}
+        | {name: line.state.get(name, line.category.get(name, line.queries.get(name))) for name in extra}
         for line in metrics
     ]
 
@@ -99,8 +99,8 @@ def agent_rows(metrics: Iterable[FrameMetrics]) -> list[Row]:
 
 def columns(rows: Iterable[Row], names: Iterable[str]) -> dict[str, list[Any]]:
     """Rows as columns, as `pandas.DataFrame` takes them; the columns are there without a row, too."""
-    kept = list(rows)
-    return {name: [row[name] for row in kept] for name in names}
+    row_list = list(rows)
+    return {name: [row[name] for row in row_list] for name in names}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -139,8 +139,8 @@ class Detections:
         """
         lines = [line for line in metrics if lost or not line.is_gone]
         plates = ["" if kinds is None else kinds.get(line.target, "") for line in lines]
-        known = list(dict.fromkeys((kinds or {}).values())) if classes is None else list(classes)
-        numbers = {name: number for number, name in enumerate(known)}
+        class_names = list(dict.fromkeys((kinds or {}).values())) if classes is None else list(classes)
+        numbers = {name: number for number, name in enumerate(class_names)}
         centres = np.array([line.centre_box for line in lines], dtype=np.float64).reshape(-1, 4)
         columns: Mapping[str, tuple[list[Any], Any]] = {
             "target": ([line.target for line in lines], np.str_),
@@ -177,7 +177,7 @@ class Detections:
         )
 
     def __repr__(self) -> str:
-        """How many, and who they are."""
+        """Number of targets, and who they are."""
         return f"<Detections: {len(self)}, tracker_id {self.tracker_id.tolist()}>"
 
     def __len__(self) -> int:

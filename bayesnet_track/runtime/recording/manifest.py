@@ -142,7 +142,7 @@ class ManifestError(ValueError):
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a finished run left.
+    """Outputs and result of a finished run.
 
     Attributes:
         outputs: file, by its key in `rundir.FILES` -> its size and SHA-256.
@@ -160,12 +160,12 @@ class Manifest:
     def text(self) -> str:
         """It as JSON; the last entry is the SHA-256 of the others."""
         outputs = {
-            FILES[key]: {"size": at.size, "sha256": at.sha256, "varies_with": _varies(key)}
-            for key, at in sorted(self.outputs.items(), key=lambda item: FILES[item[0]])
+            FILES[key]: {"size": position.size, "sha256": position.sha256, "varies_with": _varies(key)}
+            for key, position in sorted(self.outputs.items(), key=lambda item: FILES[item[0]])
         }
-        held: dict[str, Any] = {"manifest": FORMAT, "outputs": outputs, "result": self.result}
-        seal = hashlib.sha256(json.dumps(held).encode("ascii")).hexdigest()
-        return json.dumps({**held, "seal": seal}, indent=1) + "\n"
+        content: dict[str, Any] = {"manifest": FORMAT, "outputs": outputs, "result": self.result}
+        seal = hashlib.sha256(json.dumps(content).encode("ascii")).hexdigest()
+        return json.dumps({**content, "seal": seal}, indent=1) + "\n"
 
 
 def read_manifest(path: Path) -> Manifest | None:
@@ -180,44 +180,46 @@ def read_manifest(path: Path) -> Manifest | None:
     except FileNotFoundError:
         return None
     try:
-        held = json.loads(data)
-        version, keys = held["manifest"], {name: key for key, name in FILES.items()}
+        content = json.loads(data)
+        version, keys = content["manifest"], {name: key for key, name in FILES.items()}
         if version != FORMAT:
             raise ManifestError(f"{path}: version {version} of the format; this program reads {FORMAT}")
-        outputs = held["outputs"].items()
-        found = Manifest({keys[name]: Position(one["size"], one["sha256"]) for name, one in outputs})
-        is_whole = found.text().encode("ascii") == data
+        outputs = content["outputs"].items()
+        manifest = Manifest({keys[name]: Position(entry["size"], entry["sha256"]) for name, entry in outputs})
+        is_whole = manifest.text().encode("ascii") == data
     except ManifestError:
         raise
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         is_whole = False
     if not is_whole:
         raise ManifestError(f"{path}: changed since it was written: it vouches for nothing any more")
-    return found
+    return manifest
 
 
-def finish(directory: RunDirectory, written: Mapping[str, Position], own: Mapping[str, bytes]) -> None:
+def finish(directory: RunDirectory, written: Mapping[str, Position], small: Mapping[str, bytes]) -> None:
     """Write the manifest, by which the run is finished, and remove what it needed only until then.
 
-    It vouches for what the run wrote. A file of `own` that something else changed or removed meanwhile is
+    It vouches for what the run wrote. A file of `small` that something else changed or removed meanwhile is
     written again; what stood in its place is kept beside it (`FOREIGN`).
 
     Args:
         directory: of the run; every file of it is closed.
         written: key -> how far it was written, for the outputs that the disk has.
-        own: key -> contents of the small files that were written when the run began.
+        small: key -> contents of the small files that were written when the run began.
 
     Raises:
         OutputError: it cannot be written, an output cannot be read, or, once the run is finished, a file of
-            `own` was changed.
+            `small` was changed.
     """
-    changed = [found for key, data in own.items() if (found := _restore(directory.path / FILES[key], data))]
-    positions = {key: Position(len(data), hashlib.sha256(data).hexdigest()) for key, data in own.items()}
+    changes = [
+        change for key, data in small.items() if (change := _restore(directory.path / FILES[key], data))
+    ]
+    positions = {key: Position(len(data), hashlib.sha256(data).hexdigest()) for key, data in small.items()}
     # With it the disk has the entries of the folder, too.
     write_atomically(directory.manifest, Manifest({**written, **positions}).text().encode("ascii"))
     tidy(directory)
-    if changed:
-        raise OutputError("; ".join(changed))
+    if changes:
+        raise OutputError("; ".join(changes))
 
 
 def _restore(path: Path, data: bytes) -> str | None:
@@ -263,8 +265,8 @@ def tidy(directory: RunDirectory) -> None:
         OutputError: it cannot be removed.
     """
     with writing(directory.path):
-        held = {entry.name for entry in directory.path.iterdir()}
-        for name in sorted(held & passing()):
+        names = {entry.name for entry in directory.path.iterdir()}
+        for name in sorted(names & passing()):
             disk.unlink(directory.path / name)
         disk.sync_folder(directory.path)
 
@@ -325,12 +327,12 @@ def settle_broken(directory: RunDirectory) -> None:
 def _complete(directory: RunDirectory) -> None:
     """Make the run directory that of the new run; repeated from its start, it ends the same."""
     replacing = directory.path / REPLACING
-    new = {path.name: path.read_bytes() for path in replacing.iterdir()}
-    held = {path.name for path in directory.path.iterdir()}
-    own = {*FILES.values(), *(name + PART for name in FILES.values())}
-    for name in sorted(held & (own - new.keys())):
+    contents = {path.name: path.read_bytes() for path in replacing.iterdir()}
+    present = {path.name for path in directory.path.iterdir()}
+    run_names = {*FILES.values(), *(name + PART for name in FILES.values())}
+    for name in sorted(present & (run_names - contents.keys())):
         disk.unlink(directory.path / name)
-    for name, data in sorted(new.items()):
+    for name, data in sorted(contents.items()):
         write_atomically(directory.path / name, data)
     # With an empty journal the folder counts as a run.
     disk.open_raw(directory.journal, "wb").close()
@@ -364,11 +366,11 @@ def write_smoothed(run: Run, smoothed: SmoothedRun, out: Path, overwrite: bool =
         settle(directory)
         directory.refuse(overwrite)
         files = {key: (run.directory.path / FILES[key]) for key in COPIED}
-        held = {key: path.read_bytes() for key, path in files.items() if path.is_file()}
+        contents = {key: path.read_bytes() for key, path in files.items() if path.is_file()}
         # Empty, a journal makes the folder a run, which may be overwritten.
-        replace_run(directory, {"journal": b"", **held})
+        replace_run(directory, {"journal": b"", **contents})
         with_csv = run.directory.csv.is_file()
-        finish(directory, _write_lines(directory, smoothed, run.spec, with_csv), held)
+        finish(directory, _write_lines(directory, smoothed, run.spec, with_csv), contents)
 
 
 def _write_lines(

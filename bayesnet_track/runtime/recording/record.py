@@ -84,19 +84,19 @@ class ForecastWriter(LineFile):
             if line.target not in result.states:
                 continue
             start = result.states[line.target], result.births[line.target], line
-            for seen in forecast(forecaster.engine, *start, forecaster.horizon, resizing.tracked):
-                one = resizing.estimate(seen)
+            for raw in forecast(forecaster.engine, *start, forecaster.horizon, resizing.tracked):
+                expected = resizing.estimate(raw)
                 self.append(
                     json.dumps(
                         {
                             "frame": line.frame,
                             "target": line.target,
-                            "ahead": one.ahead,
-                            "box": _short(one.centre_box),
-                            "sd": _short(one.sd),
-                            "region50": _short(one.region50),
-                            "region90": _short(one.region90),
-                            **({"queries": _rounded(one.queries)} if one.queries else {}),
+                            "ahead": expected.ahead,
+                            "box": _short(expected.centre_box),
+                            "sd": _short(expected.sd),
+                            "region50": _short(expected.region50),
+                            "region90": _short(expected.region90),
+                            **({"queries": _rounded(expected.queries)} if expected.queries else {}),
                         }
                     )
                 )
@@ -116,7 +116,7 @@ MOST_WAITING = 4
 
 @dataclass(frozen=True)
 class FilePositions:
-    """How far a run is written down.
+    """Positions up to which a run is written down.
 
     Attributes:
         positions: file, by its key in `rundir.FILES` -> how far.
@@ -156,7 +156,7 @@ class Recorder:
         graph: CheckedGraph,
         frame_interval_s: float,
         optional: Collection[str] = (),
-        after: FilePositions | None = None,
+        written: FilePositions | None = None,
         before_first: Callable[[], None] | None = None,
     ) -> None:
         self._directory, self._interval, self._optional = directory, frame_interval_s, optional
@@ -175,48 +175,48 @@ class Recorder:
         self._forecasts: ForecastWriter | None = None
         self._kind = "mp4" if "mp4" in optional else "video"
         if before_first is None:
-            self._open(after)
+            self._open(written)
 
-    def _open(self, after: FilePositions | None = None) -> None:
+    def _open(self, written: FilePositions | None = None) -> None:
         directory = self._directory
-        at = {} if after is None else {name: place.size for name, place in after.positions.items()}
-        ids = NO_IDS if after is None else after.ids
+        sizes = {} if written is None else {name: place.size for name, place in written.positions.items()}
+        ids = NO_IDS if written is None else written.ids
         with ExitStack() as files:
-            self._journal = files.enter_context(JournalWriter(directory.journal, at.get("journal")))
-            self._frames = files.enter_context(FrameWriter(directory.frames, at.get("frames")))
+            self._journal = files.enter_context(JournalWriter(directory.journal, sizes.get("journal")))
+            self._frames = files.enter_context(FrameWriter(directory.frames, sizes.get("frames")))
             self._mot: MotWriter | None = None
-            if after is None or "mot" in at:
-                mot = MotWriter(directory.mot, self._has_ids, at.get("mot"), ids, self._points)
+            if written is None or "mot" in sizes:
+                mot = MotWriter(directory.mot, self._has_ids, sizes.get("mot"), ids, self._points)
                 self._mot = files.enter_context(mot)
-                self._boxes = 0 if after is None else crowd_boxes(directory.frames)
+                self._boxes = 0 if written is None else crowd_boxes(directory.frames)
             self._csv: CsvWriter | None = None
-            if self._has_csv or "csv" in at:
-                csv = CsvWriter(directory.csv, at.get("csv"), self._numbers, self._points)
+            if self._has_csv or "csv" in sizes:
+                csv = CsvWriter(directory.csv, sizes.get("csv"), self._numbers, self._points)
                 self._csv = files.enter_context(csv)
             self._cameras: CameraWriter | None = None
             if self._views:
-                writer = CameraWriter(directory.cameras, self._views, at.get("cameras"))
+                writer = CameraWriter(directory.cameras, self._views, sizes.get("cameras"))
                 self._cameras = files.enter_context(writer)
-            self._timings = files.enter_context(LineFile(directory.timings, at.get("timings")))
+            self._timings = files.enter_context(LineFile(directory.timings, sizes.get("timings")))
             self._queries: QueryWriter | None = None
             if self._asked:
-                self._queries = files.enter_context(QueryWriter(directory.queries, at.get("queries")))
+                self._queries = files.enter_context(QueryWriter(directory.queries, sizes.get("queries")))
             self._beliefs: BeliefWriter | None = None
             if "beliefs" in self._optional:
-                self._beliefs = files.enter_context(BeliefWriter(directory.beliefs, at.get("beliefs")))
+                self._beliefs = files.enter_context(BeliefWriter(directory.beliefs, sizes.get("beliefs")))
             if self._forecaster is not None:
                 self._forecasts = files.enter_context(ForecastWriter(directory.forecasts, self._forecaster))
             self._inputs: JournalWriter | None = None
-            if "inputs" in at:
-                self._inputs = files.enter_context(JournalWriter(directory.inputs, at["inputs"]))
+            if "inputs" in sizes:
+                self._inputs = files.enter_context(JournalWriter(directory.inputs, sizes["inputs"]))
             self._files = files.pop_all()
         self._before_first = None
 
-    def look_ahead(self, forecaster: Forecaster, after: FilePositions | None = None) -> None:
-        """Also write where targets are expected, from the first frame on or `after` what is written."""
+    def look_ahead(self, forecaster: Forecaster, written: FilePositions | None = None) -> None:
+        """Also write where targets are expected, from the first frame on or after what is `written`."""
         self._forecaster = forecaster
         if self._before_first is None:
-            place = None if after is None else after.positions.get("forecasts")
+            place = None if written is None else written.positions.get("forecasts")
             writer = ForecastWriter(
                 self._directory.forecasts, forecaster, None if place is None else place.size
             )
@@ -224,7 +224,7 @@ class Recorder:
 
     @property
     def written(self) -> FilePositions:
-        """How far the files are written, but for the video."""
+        """Positions up to which the files are written, but for the video."""
         return FilePositions(
             {name: file.position for name, file in self._lines().items()},
             {} if self._mot is None else dict(self._mot.ids),
@@ -257,19 +257,19 @@ class Recorder:
         self._files.close()
         return written
 
-    def redraw(self, frames: Iterable[Frame], until: int) -> None:
-        """Write the video of the frames up to number `until`, as the file of frames has them."""
+    def redraw(self, frames: Iterable[Frame], final: int) -> None:
+        """Write the video of the frames up to number `final`, as the file of frames has them."""
         file = FrameFile(self._directory.frames)
         places = {place.frame: place for place in file.places}
         for frame in frames:
-            there = frame.index in places
-            self._draw(frame, list(file.lines([places[frame.index]])) if there else [])
-            if frame.index >= until:
+            has_lines = frame.index in places
+            self._draw(frame, list(file.lines([places[frame.index]])) if has_lines else [])
+            if frame.index >= final:
                 break
 
     def _lines(self) -> dict[str, LineFile]:
         files: dict[str, LineFile] = {"journal": self._journal, "frames": self._frames}
-        more = {
+        optional = {
             "mot": self._mot,
             "timings": self._timings,
             "csv": self._csv,
@@ -279,7 +279,7 @@ class Recorder:
             "beliefs": self._beliefs,
             "forecasts": self._forecasts,
         }
-        return files | {name: file for name, file in more.items() if file is not None}
+        return files | {name: file for name, file in optional.items() if file is not None}
 
     def event(self, event: Event) -> None:
         """Append to the journal."""
@@ -310,8 +310,8 @@ class Recorder:
             if self._beliefs is not None:
                 for target in tracked.targets:
                     if target in result.states:
-                        said = result.heard.get(target)
-                        self._beliefs.write(result.frame.index, target, result.states[target], said)
+                        messages = result.heard.get(target)
+                        self._beliefs.write(result.frame.index, target, result.states[target], messages)
         if self._queries is not None:
             self._queries.write(result.frame, result.queries.values())
         if self._forecasts is not None:
@@ -352,8 +352,8 @@ class Recorder:
     def _take(self, external_inputs: tuple[Input, ...]) -> None:
         if self._inputs is None:
             self._inputs = self._files.enter_context(JournalWriter(self._directory.inputs))
-        for one in external_inputs:
-            self._inputs.write(one)
+        for entry in external_inputs:
+            self._inputs.write(entry)
         self._inputs.flush()
 
     def _draw(self, frame: Frame, lines: Sequence[FrameMetrics]) -> None:

@@ -46,10 +46,10 @@ def rerun_sinks(file: str | None, name: str, overwrite: bool = False) -> Iterato
         yield []
         return
     try:
-        taken = bool(file) and is_there(Path(file))
+        exists = bool(file) and is_there(Path(file))
     except OSError as error:  # a name that is too long
         raise RerunError(f"Rerun cannot open {file}: {error.strerror}") from error
-    if taken and not overwrite:
+    if exists and not overwrite:
         raise RerunError(f"{file}: it is there already; {setting('--overwrite')} replaces it")
     sink = RerunSink(Path(file) if file else None, name)
     try:
@@ -93,8 +93,8 @@ class RerunSink:
                 path.open("wb").close()
                 self._recording.save(path)
         except (OSError, RuntimeError) as error:
-            what = "the viewer" if path is None else str(path)
-            raise RerunError(f"Rerun cannot open {what}: {error}") from error
+            noun = "the viewer" if path is None else str(path)
+            raise RerunError(f"Rerun cannot open {noun}: {error}") from error
         self._events: list[Event] = []
         self._shown: set[str] = set()
 
@@ -130,8 +130,8 @@ class RerunSink:
         import cv2
 
         quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-        done, jpeg = cv2.imencode(".jpg", result.frame.image, quality)
-        if done:
+        is_encoded, jpeg = cv2.imencode(".jpg", result.frame.image, quality)
+        if is_encoded:
             encoded = self._rerun.EncodedImage(contents=jpeg.tobytes(), media_type="image/jpeg")
             self._recording.log("video", encoded)
 

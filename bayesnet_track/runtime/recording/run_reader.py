@@ -67,9 +67,9 @@ class Found:
 
 @contextmanager
 def pictures_of(
-    directory: RunDirectory, started: RunStarted, first: int, last: int
+    directory: RunDirectory, header: RunStarted, first: int, final: int
 ) -> Iterator[tuple[Found | None, str]]:
-    """The pictures of frames `first` to `last`, with why they are not those of the source, or not there.
+    """The pictures of frames `first` to `final`, with why they are not those of the source, or not there.
 
     The source is opened as it was for the run, but never over the network; where it is gone, or its pictures
     have another size now, the run's own annotated video takes its place.
@@ -77,38 +77,38 @@ def pictures_of(
     reasons = []
     for open_one in (_source, _video):
         try:
-            source = open_one(directory, started)
+            source = open_one(directory, header)
         except (SourceError, OSError, ValueError) as error:
             reasons.append(str(error))
             continue
         try:
             annotated = open_one is _video
-            size = started.width, started.height
+            size = header.width, header.height
             sizes = (size, _video_size(directory, size)) if annotated else (size,)
             if (source.width, source.height) in sizes:
                 # The video has the frames that were tracked, one after the other.
                 place = (first, _stride(directory)) if annotated else (0, 1)
-                images = _between(source, first, last, place)
+                images = _between(source, first, final, place)
                 yield Found(_of_size(images, size), annotated), ""
                 return
-            was = f"{started.width}x{started.height}"
+            was = f"{header.width}x{header.height}"
             reasons.append(f"{source.description} is {source.width}x{source.height} px now, and was {was}")
         finally:
-            close = getattr(source, "close", None)
-            if close is not None:
-                close()
+            close_source = getattr(source, "close", None)
+            if close_source is not None:
+                close_source()
     yield None, "; ".join(reasons)
 
 
 def _between(
-    source: FrameSource, first: int, last: int, place: tuple[int, int]
+    source: FrameSource, first: int, final: int, place: tuple[int, int]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """The images of frames `first` to `last`; `place`: number of the source's first one, and the step."""
+    """The images of frames `first` to `final`; `place`: number of the source's first one, and the step."""
     for item in source:
         index = place[0] + place[1] * item.index if isinstance(item, Frame) else -1
         if not isinstance(item, Frame) or index < first:
             continue
-        if index > last:
+        if index > final:
             return
         yield index, item.image
 
@@ -139,7 +139,7 @@ def _stride(directory: RunDirectory) -> int:
     return Recipe.read(directory).origin.stride if directory.recipe.is_file() else 1
 
 
-def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
+def _source(directory: RunDirectory, header: RunStarted) -> FrameSource:
     """The run's source: as its recipe says, or, of a run without one, as its journal names it."""
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
     from bayesnet_track.sources.reopen import reopen
@@ -150,16 +150,16 @@ def _source(directory: RunDirectory, started: RunStarted) -> FrameSource:
     if directory.recipe.is_file():
         origin = Recipe.read(directory).origin
         if origin.only_once is not None:
-            raise SourceError(started.source, origin.only_once, "a source of files", "keep the video")
+            raise SourceError(header.source, origin.only_once, "a source of files", "keep the video")
         return reopen(replace(origin, allow_network=False))
-    if started.source.startswith(SCENE):
-        return SceneSource(make_scene(started.source[len(SCENE) :], seed=started.seed), started.source)
-    if started.source.isascii() and started.source.isdigit():
-        raise SourceError(started.source, "it was a camera", "a source of files", "keep the video")
-    return open_source(started.source)
+    if header.source.startswith(SCENE):
+        return SceneSource(make_scene(header.source[len(SCENE) :], seed=header.seed), header.source)
+    if header.source.isascii() and header.source.isdigit():
+        raise SourceError(header.source, "it was a camera", "a source of files", "keep the video")
+    return open_source(header.source)
 
 
-def _video(directory: RunDirectory, started: RunStarted) -> FrameSource:
+def _video(directory: RunDirectory, header: RunStarted) -> FrameSource:
     from bayesnet_track.sources.sources import open_source
 
     video = directory.mp4 if directory.mp4.is_file() else directory.video
@@ -179,7 +179,7 @@ def page_data(
     truth: NDArray[Any] | None,
     notice: Notice,
 ) -> Data:
-    """What a page shows of a run, but for its pictures; `notice` is told of what cannot be shown.
+    """Data that a page shows of a run, but for its pictures; `notice` is told of what cannot be shown.
 
     Raises:
         JournalError: a line of timings.jsonl is malformed.
@@ -191,13 +191,13 @@ def page_data(
 
 
 def page_in_one(
-    data: Data, found: Found | None, missing: str, expected: int, largest: int = LARGEST
+    data: Data, images: Found | None, missing: str, expected: int, largest: int = LARGEST
 ) -> Iterator[str]:
     """The text of a page in one file, in pieces.
 
     Args:
         data: from `page_data`.
-        found: its pictures, if there are any; read before the first piece is given.
+        images: its pictures, if there are any; read before the first piece is given.
         missing: why there are none.
         expected: how many there may be.
         largest: bytes of the page, unless what was measured alone takes more.
@@ -205,9 +205,11 @@ def page_in_one(
     from bayesnet_track.view.run_page import Pictures, gather, one_file, room_for_pictures
 
     pictures = Pictures((), ())
-    if found is not None:
-        wanted = {row["frame"] for row in data[0]["events"] if row["sort"] != "note"}
-        pictures = gather(found.images, expected, wanted, room_for_pictures(*data, largest), found.annotated)
+    if images is not None:
+        event_frames = {row["frame"] for row in data[0]["events"] if row["sort"] != "note"}
+        pictures = gather(
+            images.images, expected, event_frames, room_for_pictures(*data, largest), images.annotated
+        )
     return one_file(*data, pictures, missing)
 
 
@@ -230,8 +232,8 @@ def page_html(
     frames = Blocks(metrics, ()).frames().tolist()
     if not frames:
         return "".join(page_in_one(data, None, "no frame was tracked", 0, largest))
-    with pictures_of(directory, events[0], min(frames), max(frames)) as (found, missing):
-        return "".join(page_in_one(data, found, missing, len(frames), largest))
+    with pictures_of(directory, events[0], min(frames), max(frames)) as (images, missing):
+        return "".join(page_in_one(data, images, missing, len(frames), largest))
 
 
 def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
@@ -244,8 +246,8 @@ def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
     from bayesnet_track.observation.image_files import AnyMask
 
     try:
-        spec, at = read_graph(directory.graph)
-        return check(spec, at, stand_ins(cues_named(spec)), AnyMask(), AnyCalibration())
+        spec, positions = read_graph(directory.graph)
+        return check(spec, positions, stand_ins(cues_named(spec)), AnyMask(), AnyCalibration())
     except (GraphError, OSError) as error:
         notice(f"{directory.graph}: the page shows no net: {error}")
         return None
@@ -331,8 +333,8 @@ class Run:
     @cached_property
     def kinds(self) -> Mapping[str, str]:
         """Target id -> name of its plate, in the order in which targets appear."""
-        started = TargetStarted | Returned
-        return {event.target: event.template for event in self.events if isinstance(event, started)}
+        start_types = TargetStarted | Returned
+        return {event.target: event.template for event in self.events if isinstance(event, start_types)}
 
     @cached_property
     def costs_ms(self) -> Mapping[tuple[str, str], float]:
@@ -406,5 +408,5 @@ class Run:
 
     def detections(self, frame: int | None = None, lost: bool = False) -> Detections:
         """The boxes of a frame, or of all, in the shape of supervision's; `lost` for lost targets, too."""
-        chosen = (line for line in self.metrics if frame is None or line.frame == frame)
-        return Detections.of(chosen, self.kinds, tuple(self.spec.targets), lost)
+        lines = (line for line in self.metrics if frame is None or line.frame == frame)
+        return Detections.of(lines, self.kinds, tuple(self.spec.targets), lost)

@@ -122,8 +122,8 @@ class RunDirectory:
                 )
             is_there = disk.is_there(run.path)
             if not run.journal.is_file():
-                what = f"no {FILES['journal']} in it{_runs_in(run.path)}" if is_there else "no such folder"
-                raise RunDirectoryError(f"{run.path}: not a run directory: {what}")
+                fault = f"no {FILES['journal']} in it{_runs_in(run.path)}" if is_there else "no such folder"
+                raise RunDirectoryError(f"{run.path}: not a run directory: {fault}")
         except OSError as error:  # a name that is too long
             if isinstance(error, RunDirectoryError):
                 raise
@@ -154,11 +154,11 @@ class RunDirectory:
             RunDirectoryError: it does.
             OSError: it cannot be read.
         """
-        held = {entry.name for entry in self.path.iterdir()} - {LOCK, STAGED}
-        held -= {name + PART for name in FILES.values()}
-        if not held:
+        names = {entry.name for entry in self.path.iterdir()} - {LOCK, STAGED}
+        names -= {name + PART for name in FILES.values()}
+        if not names:
             return
-        if held.isdisjoint(MARKS):
+        if names.isdisjoint(MARKS):
             raise RunDirectoryError(
                 f"{self.path}: the folder is not empty and not a run; give a new or an empty folder"
             )
@@ -180,9 +180,9 @@ class RunDirectory:
         order += [FILES[key] for key in ("manifest", "checkpoint", "previous", "recipe")]
         order += [name for name in FILES.values() if name not in (*order, FILES["journal"])]
         try:
-            held = {entry.name for entry in self.path.iterdir()}
+            names = {entry.name for entry in self.path.iterdir()}
             for name in (*order, FILES["journal"]):
-                if name in held:
+                if name in names:
                     disk.unlink(self.path / name)
         except OSError as error:
             raise RunDirectoryError(f"{self.path}: cannot clear it: {error}") from error
@@ -223,7 +223,7 @@ MARKS = (FILES["recipe"], FILES["journal"], REPLACING)
 
 
 def _runs_in(folder: Path) -> str:
-    """What runs a folder holds, for a message."""
-    found = sorted(one.parent.name for one in folder.glob(f"*/{FILES['journal']}"))
-    more = f" and {len(found) - 5} more" if len(found) > 5 else ""
-    return f"; runs in it: {', '.join(found[:5])}{more}" if found else ""
+    """The runs that a folder holds, for a message."""
+    names = sorted(journal.parent.name for journal in folder.glob(f"*/{FILES['journal']}"))
+    remainder = f" and {len(names) - 5} more" if len(names) > 5 else ""
+    return f"; runs in it: {', '.join(names[:5])}{remainder}" if names else ""

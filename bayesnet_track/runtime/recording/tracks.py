@@ -48,17 +48,22 @@ def number_columns(graph: GraphSpec) -> tuple[str, ...]:
     fields = dict.fromkeys(
         name for plate in graph.targets.values() if plate.is_ground for name in ground_fields(plate)
     )
-    own = (*fields, *(f"{name}_sd" for name in fields), *(("xy_corr",) if fields else ()))
+    ground = (*fields, *(f"{name}_sd" for name in fields), *(("xy_corr",) if fields else ()))
     doubtful = any(plate.identity is not None for plate in graph.targets.values())
     identities = IDENTITY_COLUMNS if doubtful else ()
-    return (*own, *category_columns(graph), *query_columns(graph.queries), *identities)
+    return (*ground, *category_columns(graph), *query_columns(graph.queries), *identities)
 
 
 def category_columns(graph: GraphSpec) -> tuple[str, ...]:
     """`team=red` of each value of each category of the targets."""
     roots = (root_of(target) for target in graph.targets.values())
     written = (root.category for root in roots if root is not None and root.category is not None)
-    keys = (key_of(name, value) for own in written for name, one in own.items() for value in one.values)
+    keys = (
+        key_of(name, value)
+        for categories in written
+        for name, category in categories.items()
+        for value in category.values
+    )
     return tuple(dict.fromkeys(keys))
 
 
@@ -175,7 +180,7 @@ class MotWriter(LineFile):
 
 @dataclass(frozen=True)
 class _Lines:
-    """Where `csv` writes: whole lines."""
+    """Buffer of whole lines that `csv` writes to."""
 
     write: Callable[[str], None]
 
@@ -269,10 +274,10 @@ def views_of_cameras(graph: CheckedGraph) -> CameraViews:
     """The views of a graph with several cameras; nothing of another one."""
     return {
         camera: {
-            name: one.camera
+            name: view.camera
             for name, plate in graph.targets.items()
-            for one in plate.views.values()
-            if one.name == camera
+            for view in plate.views.values()
+            if view.name == camera
         }
         for camera in graph.several_cameras
     }
@@ -301,12 +306,12 @@ class CameraWriter(LineFile):
             if "x_m" in numbers
         }
         statuses = dict(zip(tracked.targets, tracked.statuses, strict=True))
-        for camera, own in (frame.cameras or {}).items():
-            first = f"{frame.index},{frame.time_s:.6f},{_cell(camera)},{own.index}"
+        for camera, image in (frame.cameras or {}).items():
+            first = f"{frame.index},{frame.time_s:.6f},{_cell(camera)},{image.index}"
             for target, state in states.items():
                 view = self._views[camera].get(kinds[target])
                 box = None if view is None else view.boxes(state[None])[0]
-                if box is None or not _is_inside(box, own):
+                if box is None or not _is_inside(box, image):
                     continue
                 x, y, w, h = (_fix(value, 3) for value in (*(box[:2] - (box[2:] - 1.0) / 2.0), *box[2:]))
                 self.append(f"{first},{_cell(target)},{x},{y},{w},{h},{statuses[target]}")

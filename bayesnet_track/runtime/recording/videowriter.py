@@ -47,19 +47,19 @@ class Background:
     [1, 2]
     """
 
-    def __init__(self, name: str, most: int = 1) -> None:
-        self._name, self._most = name, most
-        self._calls: Queue[Call | None] = Queue(most)
+    def __init__(self, name: str, limit: int = 1) -> None:
+        self._name, self._most = name, limit
+        self._calls: Queue[Call | None] = Queue(limit)
         self._thread: Thread | None = None
 
     def submit(self, call: Callable[..., None], *arguments: Any) -> Future[None]:
         """Have a call made; what it raises is raised by the `result` of what is returned."""
-        made: Future[None] = Future()
+        future: Future[None] = Future()
         if self._is_at_work():
-            self._calls.put((made, call, arguments))
+            self._calls.put((future, call, arguments))
         else:
-            _make(made, call, arguments)
-        return made
+            _make(future, call, arguments)
+        return future
 
     def shutdown(self) -> None:
         """Wait until every call is made; safe to call twice."""
@@ -87,15 +87,15 @@ def _work(calls: Queue[Call | None]) -> None:
         del item  # the arguments of the last call may be large
 
 
-def _make(made: Future[None], call: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+def _make(future: Future[None], call: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     try:
         call(*arguments)
     except BaseException as error:
-        made.set_exception(error)
+        future.set_exception(error)
         if not isinstance(error, Exception):
             raise
     else:
-        made.set_result(None)
+        future.set_result(None)
 
 
 CHANGED = "something else changed it while it was being written"
@@ -119,32 +119,35 @@ class DiskFile:
 
     def write(self, data: bytes | memoryview) -> int:
         """Write all of it."""
-        written, at = bytes(data), self._file.tell()
-        over = min(len(written), max(self.size - at, 0))
+        written, position = bytes(data), self._file.tell()
+        over = min(len(written), max(self.size - position, 0))
         if over:
-            self._replaced.append((at, self._file.read(over), written[:over]))
-            self._file.seek(at)
+            self._replaced.append((position, self._file.read(over), written[:over]))
+            self._file.seek(position)
         disk.write_whole(self._file, written)
-        self._appended.update(bytes(max(at - self.size, 0)) + written[over:])
+        self._appended.update(bytes(max(position - self.size, 0)) + written[over:])
         self.size = max(self.size, self._file.tell())
         return len(written)
 
     def check(self) -> None:
         """Refuse a file whose bytes are not those that were written; raises LostFileError."""
-        found, begin = sha256(), 0
+        digest, begin = sha256(), 0
         self._file.seek(0)
         while part := self._file.read(PART_BYTES):
             former = bytearray(part)
-            for at, before, after in reversed(self._replaced):
-                low, high = max(at, begin), min(at + len(after), begin + len(part))
+            for position, old_bytes, new_bytes in reversed(self._replaced):
+                low, high = max(position, begin), min(position + len(new_bytes), begin + len(part))
                 if low < high:
-                    here, there = slice(low - begin, high - begin), slice(low - at, high - at)
-                    if former[here] != after[there]:
+                    in_part, in_change = (
+                        slice(low - begin, high - begin),
+                        slice(low - position, high - position),
+                    )
+                    if former[in_part] != new_bytes[in_change]:
                         raise disk.LostFileError(CHANGED)
-                    former[here] = before[there]
-            found.update(former)
+                    former[in_part] = old_bytes[in_change]
+            digest.update(former)
             begin += len(part)
-        if found.digest() != self._appended.digest():
+        if digest.digest() != self._appended.digest():
             raise disk.LostFileError(CHANGED)
 
 
@@ -164,16 +167,16 @@ def remux(path: Path) -> None:
     try:
         with ExitStack() as stack:
             # The explicit protocol keeps FFmpeg from reading a protocol into the file's name.
-            given: Any = stack.enter_context(av.open(f"file:{path.absolute()}"))
+            source: Any = stack.enter_context(av.open(f"file:{path.absolute()}"))
             file = disk.open_raw(part, "w+b")
             stack.callback(file.close)
-            made: Any = av.open(DiskFile(file), mode="w", format="mp4", options={"fflags": "+bitexact"})
-            with made:
-                stream = _same_stream(made, given.streams.video[0])
-                for packet in given.demux(given.streams.video[0]):
+            target: Any = av.open(DiskFile(file), mode="w", format="mp4", options={"fflags": "+bitexact"})
+            with target:
+                stream = _same_stream(target, source.streams.video[0])
+                for packet in source.demux(source.streams.video[0]):
                     if packet.dts is not None:  # the last packet is empty
                         packet.stream = stream
-                        made.mux(packet)
+                        target.mux(packet)
             disk.sync(file)
         disk.replace(part, path)
     except (OSError, av.error.FFmpegError) as error:
@@ -338,5 +341,5 @@ class VideoWriter:
     def _error(self, error: Exception) -> OutputError:
         if isinstance(error, disk.LostFileError):
             return OutputError(f"{self.path}: {error}")
-        said = getattr(error, "strerror", None) or error
-        return OutputError(f"{self.path}: cannot write the video: {said}")
+        reason = getattr(error, "strerror", None) or error
+        return OutputError(f"{self.path}: cannot write the video: {reason}")

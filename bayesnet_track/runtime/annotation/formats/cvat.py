@@ -122,12 +122,12 @@ class Task:
     first: int = 0
     step: int = 1
 
-    def frame(self, found: int, place: str) -> int:
+    def frame(self, index: int, place: str) -> int:
         """The frame of the video; raises MismatchError where a number is between its steps."""
-        frame, remainder = divmod(found - self.first, self.step)
+        frame, remainder = divmod(index - self.first, self.step)
         if remainder:
             raise MismatchError(
-                f"{place}: frame {found} is none of {self.first}, {self.first + self.step}, ..."
+                f"{place}: frame {index} is none of {self.first}, {self.first + self.step}, ..."
             )
         return frame
 
@@ -208,9 +208,9 @@ def _track_rows(tracks: Sequence[Tree.Element], task: Task, video: Video, path: 
         unknown.update(element.tag for element in track if element.tag not in SHAPES)
         is_gone, count = True, 0
         numbered = ((whole(element.get("frame"), "frame", f"{path}, {place}"), element) for element in shapes)
-        for found, element in sorted(numbered, key=lambda pair: pair[0]):
-            position = f"{place}, frame {found}"
-            frame = task.frame(found, f"{path}, {place}")
+        for index, element in sorted(numbered, key=lambda pair: pair[0]):
+            position = f"{place}, frame {index}"
+            frame = task.frame(index, f"{path}, {place}")
             if element.get("outside") == "1":
                 if not is_gone:
                     yield Row(position, frame, n, label, None)
@@ -329,8 +329,8 @@ def _of_points(shape: Tree.Element, place: str) -> tuple[Box, str]:
 
 
 def _of_skeleton(shape: Tree.Element, place: str) -> tuple[Box, str]:
-    visible = [one for one in shape.findall("points") if one.get("outside") != "1"]
-    return box_around([point for one in visible for point in _points(one, place)]), "skeleton"
+    visible = [point for point in shape.findall("points") if point.get("outside") != "1"]
+    return box_around([point for shown_point in visible for point in _points(shown_point, place)]), "skeleton"
 
 
 SHAPES: dict[str, Callable[[Tree.Element, str], tuple[Box, str]]] = {

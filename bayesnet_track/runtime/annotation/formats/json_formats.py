@@ -131,19 +131,21 @@ def _placed(path: Path, n: int, entry: object) -> tuple[object, tuple[str, ...],
 
 def _frames(entries: list[Any], video: Video, images: Sequence[str], path: Path) -> dict[str, int]:
     """Image id -> frame."""
-    records = [needed(one, ("id",), f"{path}, images[{n}]") for n, one in enumerate(entries)]
-    for n, one in enumerate(records):
-        if one.get("width") is not None and one.get("height") is not None:
-            check_size(one["width"], one["height"], video, f"{path}, images[{n}]")
-    videos = {identity(one["video_id"], "video_id", str(path)) for one in records if "video_id" in one}
+    records = [needed(entry, ("id",), f"{path}, images[{n}]") for n, entry in enumerate(entries)]
+    for n, record in enumerate(records):
+        if record.get("width") is not None and record.get("height") is not None:
+            check_size(record["width"], record["height"], video, f"{path}, images[{n}]")
+    videos = {
+        identity(record["video_id"], "video_id", str(path)) for record in records if "video_id" in record
+    }
     if len(videos) > 1:
         raise MismatchError(f"{path}: images of {len(videos)} videos; those of one are needed")
-    ids = [identity(one["id"], "id", f"{path}, images[{n}]") for n, one in enumerate(records)]
+    ids = [identity(record["id"], "id", f"{path}, images[{n}]") for n, record in enumerate(records)]
     if len(set(ids)) < len(ids):
         raise MismatchError(f"{path}: two images have the same id")
-    if records and all("frame_id" in one for one in records):
+    if records and all("frame_id" in record for record in records):
         numbers = [
-            whole(one["frame_id"], "frame_id", f"{path}, images[{n}]") for n, one in enumerate(records)
+            whole(record["frame_id"], "frame_id", f"{path}, images[{n}]") for n, record in enumerate(records)
         ]
         first = first_of_numbers(numbers, video.frames)
         if first is None and all(key == str(value + 1) for key, value in zip(ids, numbers, strict=True)):
@@ -153,7 +155,8 @@ def _frames(entries: list[Any], video: Video, images: Sequence[str], path: Path)
                 notice(f"{path}: its frame_id count from 1")
             return {key: value - first for key, value in zip(ids, numbers, strict=True)}
     names = [
-        str(needed(one, ("file_name",), f"{path}, images[{n}]")["file_name"]) for n, one in enumerate(records)
+        str(needed(record, ("file_name",), f"{path}, images[{n}]")["file_name"])
+        for n, record in enumerate(records)
     ]
     if len(set(names)) < len(names):
         raise MismatchError(f"{path}: two images have the same file_name")

@@ -359,15 +359,15 @@ def mask_box(counts: str | Sequence[int], height: int) -> Box:
     runs = _runs(counts) if isinstance(counts, str) else counts
     if height < 1 or any(type(run) is not int or run < 0 for run in runs):
         raise ValueError("the runs of a mask are whole numbers from 0, its height is above 0")
-    at, left, right, top, bottom = 0, math.inf, -math.inf, math.inf, -math.inf
+    position, left, right, top, bottom = 0, math.inf, -math.inf, math.inf, -math.inf
     for number, run in enumerate(runs):
         if number % 2 and run:
-            first, last = divmod(at, height), divmod(at + run - 1, height)
-            left, right = min(left, first[0]), max(right, last[0])
-            whole = first[0] != last[0]  # it goes on in the next column, and so touches both ends
-            top = min(top, 0 if whole else first[1])
-            bottom = max(bottom, height - 1 if whole else last[1])
-        at += run
+            first, end = divmod(position, height), divmod(position + run - 1, height)
+            left, right = min(left, first[0]), max(right, end[0])
+            is_wrapped = first[0] != end[0]  # it goes on in the next column, and so touches both ends
+            top = min(top, 0 if is_wrapped else first[1])
+            bottom = max(bottom, height - 1 if is_wrapped else end[1])
+        position += run
     if left > right:
         return (math.nan,) * 4
     return float(left), float(top), float(right - left + 1), float(bottom - top + 1)
@@ -376,16 +376,16 @@ def mask_box(counts: str | Sequence[int], height: int) -> Box:
 def _runs(text: str) -> list[int]:
     """COCO's text: 5 bits a character, lowest first; from the fourth on, differences to the last but one."""
     runs: list[int] = []
-    at = 0
-    while at < min(len(text), LONGEST_RLE):
-        value, shift, more = 0, 0, True
-        while more:
-            if at >= len(text) or not 48 <= ord(text[at]) < 112:
+    position = 0
+    while position < min(len(text), LONGEST_RLE):
+        value, shift, continues = 0, 0, True
+        while continues:
+            if position >= len(text) or not 48 <= ord(text[position]) < 112:
                 raise ValueError("the text of a mask is damaged")
-            bits = ord(text[at]) - 48
+            bits = ord(text[position]) - 48
             value |= (bits & 31) << shift
-            more, shift, at = bool(bits & 32), shift + 5, at + 1
-            if not more and bits & 16:
+            continues, shift, position = bool(bits & 32), shift + 5, position + 1
+            if not continues and bits & 16:
                 value |= -1 << shift
         runs.append(value + runs[-2] if len(runs) > 2 else value)
     return runs

@@ -176,17 +176,17 @@ def number_names(labels: Mapping[Hashable, str], names: Mapping[Hashable, str]) 
     {9: 'ball 1', 7: 'ball 2', 4: 'cup 1'}
     """
     counts = Counter(names.values())
-    found = {key: names[key] for key in labels if key in names and counts[names[key]] == 1}
-    taken = set(found.values())
+    named = {key: names[key] for key in labels if key in names and counts[names[key]] == 1}
+    used_names = set(named.values())
     numbers: Counter[str] = Counter()
     for key, label in labels.items():
-        while key not in found:
+        while key not in named:
             numbers[label] += 1
             name = f"{label} {numbers[label]}"
-            if name not in taken:
-                found[key] = name
-                taken.add(name)
-    return found
+            if name not in used_names:
+                named[key] = name
+                used_names.add(name)
+    return named
 
 
 _HASH = re.compile(r"[_.](?:jpe?g|png|bmp)\.rf\.[0-9A-Za-z]+$")
@@ -202,46 +202,46 @@ def frames_of_names(
     video: Video,
     images: Sequence[str],
     place: str,
-    others: Collection[str] = (),
+    empty_names: Collection[str] = (),
 ) -> dict[str, int]:
     """Name -> frame from 0, which may be behind the last one; NO_FRAME for an image that is not in the video.
 
     `images` are the files that the frames come from, if there are such. If they have all the names, these
     say the frames. Otherwise numbers do: from 0 or from 1, as only one fits, or as the names of CVAT
-    (`frame_000000`, from 0) and ultralytics (`clip_1`, from 1) are known to count. `others` are names of
+    (`frame_000000`, from 0) and ultralytics (`clip_1`, from 1) are known to count. `empty_names` are names of
     images without a row, which show where the numbers begin and end, too.
 
     Raises:
         MismatchError: a name has no number, two have the same, or both ways to count fit.
     """
     stems = {name: _stem(name) for name in names}
-    alike = _alike(others, stems.values())
-    known = {_plain(PurePath(image).stem): frame for frame, image in enumerate(images)}
-    if len(known) < len(images):
-        known = {}
-    by_name = {name: known[_plain(stem)] for name, stem in stems.items() if _plain(stem) in known}
-    if len(by_name) == len(stems) and all(_plain(stem) in known for stem in alike):
+    empty_numbers = _alike(empty_names, stems.values())
+    frames = {_plain(PurePath(image).stem): frame for frame, image in enumerate(images)}
+    if len(frames) < len(images):
+        frames = {}
+    by_name = {name: frames[_plain(stem)] for name, stem in stems.items() if _plain(stem) in frames}
+    if len(by_name) == len(stems) and all(_plain(stem) in frames for stem in empty_numbers):
         return by_name
     numbers = {name: _LAST_NUMBER.search(stem) for name, stem in stems.items()}
-    found = {name: int(match.group(1)) for name, match in numbers.items() if match}
-    if len(found) < len(stems):
+    numbered = {name: int(match.group(1)) for name, match in numbers.items() if match}
+    if len(numbered) < len(stems):
         if by_name:
             return {name: by_name.get(name, NO_FRAME) for name in stems}
-        strange = next(name for name in stems if name not in found)
+        strange = next(name for name in stems if name not in numbered)
         raise MismatchError(f"{place}: no number in the name {strange!r}; it says which frame it is")
-    _refuse_twice(found, place)
-    first = first_of_numbers([*found.values(), *alike.values()], video.frames)
+    _refuse_twice(numbered, place)
+    first = first_of_numbers([*numbered.values(), *empty_numbers.values()], video.frames)
     if first is None and not by_name:
         first = _first_as_named(stems.values())
     if first is None and by_name:
         return {name: by_name.get(name, NO_FRAME) for name in stems}
     if first is None:
         raise MismatchError(
-            f"{place}: the numbers {min(found.values())} to {max(found.values())} of the names fit two "
+            f"{place}: the numbers {min(numbered.values())} to {max(numbered.values())} of the names fit two "
             f"readings: frames counted from 0, and from 1 (the video has {video.frames}); add the first one, "
             "even if it has no object"
         )
-    return {name: value - first for name, value in found.items()}
+    return {name: value - first for name, value in numbered.items()}
 
 
 def first_of_numbers(numbers: Sequence[int], frames: int) -> int | None:
@@ -255,10 +255,10 @@ def first_of_numbers(numbers: Sequence[int], frames: int) -> int | None:
     return 1 if max(numbers) == frames else None
 
 
-def _alike(others: Collection[str], stems: Collection[str]) -> dict[str, int]:
+def _alike(empty_names: Collection[str], stems: Collection[str]) -> dict[str, int]:
     """Stem and number of the others that are named as `stems` are, but for the number."""
     numbered = {_LAST_NUMBER.sub("", stem) for stem in stems}
-    matches = ((stem, _LAST_NUMBER.search(stem)) for stem in map(_stem, others))
+    matches = ((stem, _LAST_NUMBER.search(stem)) for stem in map(_stem, empty_names))
     return {stem: int(m.group(1)) for stem, m in matches if m and stem[: m.start()] in numbered}
 
 
@@ -277,9 +277,9 @@ def _stem(name: str) -> str:
     return _HASH.sub("", PurePath(name.replace("\\", "/")).stem)
 
 
-def _refuse_twice(found: dict[str, int], place: str) -> None:
-    seen: dict[int, str] = {}
-    for name, value in found.items():
-        if value in seen:
-            raise MismatchError(f"{place}: {seen[value]!r} and {name!r} have the same number")
-        seen[value] = name
+def _refuse_twice(numbers: dict[str, int], place: str) -> None:
+    names: dict[int, str] = {}
+    for name, value in numbers.items():
+        if value in names:
+            raise MismatchError(f"{place}: {names[value]!r} and {name!r} have the same number")
+        names[value] = name

@@ -303,7 +303,7 @@ def _about_of_yaml(file: Path) -> Mapping[str, Any]:
     names = content.get("names") if isinstance(content, Mapping) else None
     if isinstance(names, list):
         names = dict(enumerate(names))
-    if not isinstance(names, Mapping) or any(not isinstance(one, str | int) for one in names.values()):
+    if not isinstance(names, Mapping) or any(not isinstance(label, str | int) for label in names.values()):
         raise MismatchError(
             f"{file}: `names` of the classes are needed, a list of texts or numbers with texts"
         )
@@ -316,22 +316,22 @@ def _rows(
 ) -> Iterator[Row]:
     names = settings["names"]
     read = boxes_of([line for _, line in lines], settings.get("kpt_shape"), path)
-    tracked = any(drawn.identity is not None for drawn in read)
-    left = [drawn.line.place for drawn in read if tracked and drawn.identity is None]
+    tracked = any(box.identity is not None for box in read)
+    left = [box.line.place for box in read if tracked and box.identity is None]
     if left:
         notice(
             f"{path}: {len(left)} of {len(read)} boxes have no identity, and are left out: at {left[0]}"
             + (" and others" if len(left) > 1 else "")
         )
-    unnamed = sorted({drawn.line.kind for drawn in read} - names.keys())
+    unnamed = sorted({box.line.kind for box in read} - names.keys())
     if unnamed and names:
         notice(f"{path}: classes without a name: {', '.join(map(str, unnamed))}; {len(names)} have one")
-    for (frame, _), drawn in zip(lines, read, strict=True):
-        if tracked and drawn.identity is None:
+    for (frame, _), box in zip(lines, read, strict=True):
+        if tracked and box.identity is None:
             continue
-        label = names.get(drawn.line.kind, f"class {drawn.line.kind}")
-        key = drawn.identity if tracked else drawn.line.kind
-        yield Row(drawn.line.place, frame, key, label, drawn.box(video), drawn.shape)
+        label = names.get(box.line.kind, f"class {box.line.kind}")
+        key = box.identity if tracked else box.line.kind
+        yield Row(box.line.place, frame, key, label, box.box(video), box.shape)
 
 
 def _say_late(path: Path, empty: Collection[int], video: Video) -> None:
