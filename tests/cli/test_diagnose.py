@@ -231,3 +231,17 @@ def test_the_command_reads_a_run_and_what_it_says_is_a_command(tmp_path, capsys)
     assert "bayesnet-track " in said
     assert main(["diagnose", out, "--target", "7"]) == 2
     assert main(["diagnose", str(tmp_path)]) == 4
+
+
+@pytest.mark.slow
+def test_a_camera_that_was_knocked_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "room_knocked", "--end", "104", "--quiet"]) == 0
+    capsys.readouterr()
+    assert main(["diagnose", "runs/room_knocked"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("camera west is ")
+    assert "bayesnet-track log runs/room_knocked --why 100" in text
+    assert main(["diagnose", "runs/room_knocked", "--json"]) == 0
+    (camera,) = json.loads(capsys.readouterr().out)["cameras"]
+    assert camera["camera"] == "west"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -174,6 +174,7 @@ def diagnose(options: argparse.Namespace) -> int:
     """Print what stands out, target by target."""
     import json
 
+    from bayesnet_track.journal.events.cameras import CameraKnocked
     from bayesnet_track.runtime.recording.run_reader import open_run
 
     run = open_run(options.run, complain)
@@ -181,11 +182,17 @@ def diagnose(options: argparse.Namespace) -> int:
         targets = ", ".join(run.targets) or "none"
         raise UsageError(f"{options.run}: no target {options.target!r}; there are {targets}")
     findings = list(find_all(run, options.target))
+    knocks = [event for event in run.events if options.target is None and isinstance(event, CameraKnocked)]
     if options.json:
-        say(json.dumps({"run": str(options.run), "findings": [advise(run, finding) for finding in findings]}))
+        cameras = [asdict(event) for event in knocks]
+        findings_json = [advise(run, finding) for finding in findings]
+        say(json.dumps({"run": str(options.run), "findings": findings_json, "cameras": cameras}))
         return OK
     if options.try_settings:
         return _try_all(options, run, findings)
+    for event in knocks:
+        say(event.describe())
+        say(f"  look  bayesnet-track log {options.run} --why {event.frame}")
     tried = False
     for group in _grouped(run, findings):
         advice = advise(run, group[0])
@@ -195,7 +202,7 @@ def diagnose(options: argparse.Namespace) -> int:
             say("\n".join(_other_targets(options.run, [finding.target for finding in group[1:]])))
     if tried:
         say(UNTRIED)
-    elif not findings:
+    elif not findings and not knocks:
         say(
             "nothing stands out. That a run agrees with itself does not show that the boxes are right: "
             f"`bayesnet-track score {options.run} --truth FILE` does"
