@@ -49,7 +49,7 @@ LEAST_LOG = -50.0
 def assign_detections(
     rule: AssociationRule,
     expected: Tracks,
-    seen: Found,
+    detections: Found,
     log_looks: Callable[[Ints, Floats], Floats],
     by_labels: Mapping[int, Floats],
 ) -> Owners:
@@ -59,25 +59,25 @@ def assign_detections(
     look like. `by_labels` has, of rows that labels are evidence on, (N,) the log of how much likelier each
     label is theirs than nobody's.
     """
-    log_labels = np.zeros((len(expected.mean), len(seen.boxes)) if by_labels else (0, 0))
+    log_labels = np.zeros((len(expected.mean), len(detections.boxes)) if by_labels else (0, 0))
     for row, log in by_labels.items():
         log_labels[row] = log
-    mean, covariance, boxes = expected.mean, expected.covariance, np.ascontiguousarray(seen.boxes)
+    mean, covariance, boxes = expected.mean, expected.covariance, np.ascontiguousarray(detections.boxes)
     if rule.similarity == "iou":
         if not len(boxes):
             return np.full(len(mean), UNASSIGNED, dtype=np.intp)
-        return share_by_overlap(rule, mean[:, :4], expected.observed, boxes, seen.scores)
+        return share_by_overlap(rule, mean[:, :4], expected.observed, boxes, detections.scores)
     if rule.first_score <= 0.0:
         return _assign_by_density(rule, (mean, covariance), boxes, log_looks, log_labels)
 
-    def ask(by: Pass, rows: Owners, columns: Owners) -> Owners:
-        def own(some: Ints, at: Floats) -> Floats:
-            return log_looks(rows[some], at)
+    def ask(stage: Pass, rows: Owners, columns: Owners) -> Owners:
+        def log_own(some: Ints, places: Floats) -> Floats:
+            return log_looks(rows[some], places)
 
         labels = log_labels[np.ix_(rows, columns)] if by_labels else log_labels
-        return _assign_by_density(rule, (mean[rows], covariance[rows]), boxes[columns], own, labels)
+        return _assign_by_density(rule, (mean[rows], covariance[rows]), boxes[columns], log_own, labels)
 
-    return share_in_passes(rule, seen.scores, len(mean), ask)
+    return share_in_passes(rule, detections.scores, len(mean), ask)
 
 
 def _assign_by_density(
@@ -101,15 +101,15 @@ def _gate_looks(
     pairs: Pairs,
     mean: Floats,
     covariance: Floats,
-    seen: tuple[Floats, Callable[[Ints, Floats], Floats]],
+    looks: tuple[Floats, Callable[[Ints, Floats], Floats]],
 ) -> Pairs:
     """The pairs that are left when looks count: d^2 - 2 appearance log L is within the gate as well."""
-    boxes, log_looks = seen
+    boxes, log_looks = looks
     values = with_looks(rule, pairs, log_looks, boxes).values
     spread = covariance[pairs.rows, :4, :4] + rule.variances(boxes)[pairs.columns][:, :, None] * np.eye(4)
-    least = -0.5 * (chi_square_quantile(rule.gate, 4) + np.linalg.slogdet(spread)[1])
-    near = values >= least
-    return Pairs(pairs.rows[near], pairs.columns[near], values[near])
+    limit = -0.5 * (chi_square_quantile(rule.gate, 4) + np.linalg.slogdet(spread)[1])
+    is_near = values >= limit
+    return Pairs(pairs.rows[is_near], pairs.columns[is_near], values[is_near])
 
 
 def tentative_tracks(compiled: CompiledPlate, history: TrackHistory) -> tuple[Candidate, ...]:
@@ -121,30 +121,30 @@ def tentative_tracks(compiled: CompiledPlate, history: TrackHistory) -> tuple[Ca
 
 
 def advance_tentative(
-    compiled: CompiledPlate, waiting: Sequence[Candidate], after: Tracks, own: Floats, looked: bool
+    compiled: CompiledPlate, waiting: Sequence[Candidate], updated: Tracks, assigned: Floats, looked: bool
 ) -> tuple[Candidate, ...]:
-    """Tentative tracks, the last rows of `after` and `own`, after they were given their detections."""
+    """Tentative tracks, the last rows of `updated` and `assigned`, after they were given their detections."""
     if not waiting:
         return ()
-    rows = slice(len(own) - len(waiting), len(own))
+    rows = slice(len(assigned) - len(waiting), len(assigned))
     agent, rule = next(iter(compiled.association_rules.items()))
-    variances = rule.variances(own[rows, :4]) * compiled.plate.agent(agent).temperature
+    variances = rule.variances(assigned[rows, :4]) * compiled.plate.agent(agent).temperature
     assert compiled.lifecycle is not None and compiled.lifecycle.birth is not None
     confirm = compiled.lifecycle.birth.confirm if looked else None
-    return update_tentative(waiting, after.only(rows), own[rows], variances, confirm)
+    return update_tentative(waiting, updated.only(rows), assigned[rows], variances, confirm)
 
 
 def label_tentative(
-    before: Sequence[Candidate], after: Sequence[Candidate], log: Floats
+    candidates: Sequence[Candidate], updated: Sequence[Candidate], log: Floats
 ) -> tuple[Candidate, ...]:
-    """Tentative tracks `after` a look, with what the labels of their detections say: `log` (C, V)."""
-    said = {one.birth: own for one, own in zip(before, log, strict=True)}
-    return tuple(one.told(said[one.birth]) for one in after)
+    """Tentative tracks after a look, with what the labels of their detections say: `log` (C, V)."""
+    logs = {candidate.birth: row for candidate, row in zip(candidates, log, strict=True)}
+    return tuple(candidate.told(logs[candidate.birth]) for candidate in updated)
 
 
-def name_owners(owner: Owners, names: Sequence[str], found: int) -> tuple[str | None, ...]:
-    """Whose each of the detections is: a target's, `TENTATIVE`, or nobody's."""
-    whose: list[str | None] = [None] * found
+def name_owners(owner: Owners, names: Sequence[str], detection_count: int) -> tuple[str | None, ...]:
+    """Owner of each of the detections: a target, `TENTATIVE`, or nobody."""
+    whose: list[str | None] = [None] * detection_count
     for row, column in enumerate(owner.tolist()):
         if column != UNASSIGNED:
             whose[column] = names[row] if row < len(names) else TENTATIVE
@@ -152,11 +152,11 @@ def name_owners(owner: Owners, names: Sequence[str], found: int) -> tuple[str | 
 
 
 def remember_detections(
-    state: TargetState, agent: str, observed: Floats, changed: tuple[Floats, Floats] | None
+    state: TargetState, agent: str, observed: Floats, refiltered: tuple[Floats, Floats] | None
 ) -> TargetState:
-    """The target with what is remembered of its detections, and the belief that a gap has `changed`."""
-    if changed is not None and isinstance(state.belief, GaussianPosterior):
-        state = replace(state, belief=replace(state.belief, mean=changed[0], covariance=changed[1]))
+    """The target with what is remembered of its detections, and a belief that was `refiltered`."""
+    if refiltered is not None and isinstance(state.belief, GaussianPosterior):
+        state = replace(state, belief=replace(state.belief, mean=refiltered[0], covariance=refiltered[1]))
     if not len(observed) or agent not in state.references:
         return state
     reference = {**state.references[agent], OBSERVED: observed}
@@ -167,32 +167,32 @@ def score_looks(
     work: FrameContext,
     compiled: CompiledPlate,
     targets: Sequence[str],
-    known: Mapping[str, Sequence[Reference]],
+    memories: Mapping[str, Sequence[Reference]],
     boxes: Floats,
     starts: Ints,
 ) -> Floats:
     """(N,) log-likelihoods of boxes (N, 4) by all agents that know the targets' looks, switched on or not.
 
-    Those of target t are `starts[t]` to `starts[t + 1] - 1` of the boxes, one at least. `known` has what each
+    Those of target t are `starts[t]` to `starts[t + 1] - 1` of the boxes, one at least. `memories`: what each
     agent remembers of each target.
     """
-    agents = [agent for agent in compiled.plate.agents if agent in compiled.looks and agent in known]
+    agents = [agent for agent in compiled.plate.agents if agent in compiled.looks and agent in memories]
     if not work.frame.has_color:
         agents = [agent for agent in agents if agent not in compiled.color_agents]
     if not (agents and len(targets)):
         return np.zeros(len(boxes))
     plan = replace(plan_for(compiled, frozenset(agents)), factors=()).in_image()
-    apart: Iterable[int] = range(len(targets))
+    rows: Iterable[int] = range(len(targets))
     log = np.zeros(len(boxes))
     if is_flat(compiled.plate) and not (
         work.availability.known or any(is_elsewhere(compiled.cues[agent]) for agent in agents)
     ):
-        messages, apart = ask_together(work, (compiled, plan, known), Hypotheses(boxes), starts)
+        messages, rows = ask_together(work, (compiled, plan, memories), Hypotheses(boxes), starts)
         log = join_plain(plan, messages, (len(boxes),))[plan.root]
-    for row in apart:
-        own = {agent: known[agent][row] for agent in agents}
+    for row in rows:
+        references = {agent: memories[agent][row] for agent in agents}
         its = slice(*starts[row : row + 2].tolist())
-        log[its] = _score_looks_of(work, plan, targets[row], own, boxes[its])
+        log[its] = _score_looks_of(work, plan, targets[row], references, boxes[its])
     return np.clip(log, LEAST_LOG, 0.0)
 
 
@@ -206,7 +206,7 @@ def _score_looks_of(
         work.cache,
         compiled.cues,
         references,
-        lambda what: stream(f"claim {what}"),
+        lambda purpose: stream(f"claim {purpose}"),
         availability=work.availability_of(target, "claiming"),
     )
     prior = np.full(len(boxes), -np.log(len(boxes)))
@@ -214,17 +214,17 @@ def _score_looks_of(
 
 
 def give_detections(
-    state: TargetState, own: Mapping[str, Floats | None], labels: Mapping[str, Floats] | None = None
+    state: TargetState, assigned: Mapping[str, Floats | None], labels: Mapping[str, Floats] | None = None
 ) -> TargetState:
     """The target with what each of its agents is given of the detections; None where nobody detected.
 
     `labels` has (M, V) log-probabilities of the labels of the M detections of agents that go by labels.
     """
-    given = {
+    references = {
         agent: {k: v for k, v in state.references[agent].items() if k not in (OWN_DETECTION, OWN_LABEL)}
         | ({} if detection is None else {OWN_DETECTION: detection})
         | ({OWN_LABEL: labels[agent]} if labels and agent in labels else {})
-        for agent, detection in own.items()
+        for agent, detection in assigned.items()
         if agent in state.references
     }
-    return replace(state, references={**state.references, **given})
+    return replace(state, references={**state.references, **references})

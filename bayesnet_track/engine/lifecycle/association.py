@@ -87,7 +87,7 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Associated:
-    """What a look before the targets were weighed gave.
+    """Outcome of a look before the targets were weighed.
 
     Attributes:
         found: plate that looked -> its detections in the image of each camera, the best first.
@@ -109,59 +109,59 @@ class Associated:
 
 def associate_first(work: FrameContext, targets: Targets, history: TrackHistory) -> Associated:
     """Association of detections and targets, for plates with agents that measure by them."""
-    net, started = work.net, work.engine.clock()
+    net, start = work.net, work.engine.clock()
     tables = {rows.rule.plate: rows for rows in targets.gaussians}
-    apart = targets.apart()
+    states = targets.apart()
 
-    def held(plate: str) -> list[str]:
-        own = tables[plate].ids if plate in tables else ()
-        of_plate = (*own, *(target for target in apart if net.targets[target].template == plate))
+    def live_targets(plate: str) -> list[str]:
+        ids = tables[plate].ids if plate in tables else ()
+        of_plate = (*ids, *(target for target in states if net.targets[target].template == plate))
         return [target for target in of_plate if net.targets[target].status != "lost"]
 
-    found, history, looked = look(work, history, partial(_expected_boxes, work, targets), held)
+    detections, history, looked = look(work, history, partial(_expected_boxes, work, targets), live_targets)
     events: tuple[DetectorFailed | DetectionsCut | CameraKnocked, ...] = looked
     owners: dict[str, tuple[str | None, ...]] = {}
-    given: dict[str, Given] = {}
+    given_rows: dict[str, Given] = {}
     for plate, compiled in work.engine.plates.items():
         if not compiled.association_rules:
             continue
-        own = {target: one for target, one in apart.items() if net.targets[target].template == plate}
-        several = Several(work, compiled, tables.get(plate), own)
+        members = {target: state for target, state in states.items() if net.targets[target].template == plate}
+        sharing = Several(work, compiled, tables.get(plate), members)
         if CrowdRule.of(compiled) is None:
-            done = several.assign(history, found.get(plate, {}).get(""))
+            shared = sharing.assign(history, detections.get(plate, {}).get(""))
         else:
-            done = several.associate_marginal(history, looks_of(work, plate, found))
-        history, events = done.history, (*events, *done.events)
-        apart |= done.others
-        if done.rows is not None:
-            given[plate] = done.rows
-        if plate in found or compiled.plate.inverses or not compiled.has_one_image:
-            owners[plate] = done.owners
-    work.charge("life", started)
-    after = Targets(targets.gaussians, (), apart, [*apart]) if apart else targets
-    return Associated(found, owners, after, history, events, given)
+            shared = sharing.associate_marginal(history, looks_of(work, plate, detections))
+        history, events = shared.history, (*events, *shared.events)
+        states |= shared.others
+        if shared.rows is not None:
+            given_rows[plate] = shared.rows
+        if plate in detections or compiled.plate.inverses or not compiled.has_one_image:
+            owners[plate] = shared.owners
+    work.charge("life", start)
+    updated = Targets(targets.gaussians, (), states, [*states]) if states else targets
+    return Associated(detections, owners, updated, history, events, given_rows)
 
 
-def looks_of(work: FrameContext, plate: str, found: Mapping[str, Seen]) -> dict[str, Found]:
+def looks_of(work: FrameContext, plate: str, detections: Mapping[str, Seen]) -> dict[str, Found]:
     """Agent of a plate with existence -> what it is given, of those whose sensor or detector looked."""
     compiled = work.engine.plates[plate]
     if compiled.plate.inverses:
         return scan(work, plate)
-    seen = found.get(plate, {})
-    return {agent: seen[camera] for agent, camera in compiled.cameras.items() if camera in seen}
+    by_camera = detections.get(plate, {})
+    return {agent: by_camera[camera] for agent, camera in compiled.cameras.items() if camera in by_camera}
 
 
 def associate_new(
-    work: FrameContext, plate: str, history: TrackHistory, found: Mapping[str, Seen]
+    work: FrameContext, plate: str, history: TrackHistory, detections: Mapping[str, Seen]
 ) -> TrackHistory:
     """The history after the sensors or cameras of a plate saw the first frame, in which it has no targets."""
-    looks = looks_of(work, plate, found)
+    looks = looks_of(work, plate, detections)
     return Several(work, work.engine.plates[plate], None, {}).associate_marginal(history, looks).history
 
 
 @dataclass(frozen=True, eq=False)
 class Shared:
-    """What the targets of a plate are given.
+    """Detections that the targets of a plate are given.
 
     Attributes:
         rows: what its rows are given; None without any.
@@ -194,66 +194,68 @@ class Several:
     rows: Rows | None
     others: Mapping[str, TargetState]
 
-    def assign(self, history: TrackHistory, found: Found | None) -> Shared:
-        """The best assignment of what was `found` to targets and tentative tracks."""
+    def assign(self, history: TrackHistory, detections: Found | None) -> Shared:
+        """The best assignment of the detections to targets and tentative tracks."""
         compiled, names = self.compiled, self.names
         agent, rule = next(iter(compiled.association_rules.items()))
-        seen = Found.none() if found is None else found
+        sightings = Found.none() if detections is None else detections
         waiting = tentative_tracks(compiled, history)
-        expecting, before = predictor(self.work, compiled), self._tracks().and_tentative(waiting)
-        expected = Tracks(*expecting(before.mean, before.covariance), before.observed)
+        expecting, previous = predictor(self.work, compiled), self._tracks().and_tentative(waiting)
+        expected = Tracks(*expecting(previous.mean, previous.covariance), previous.observed)
         by_labels = {}
         for row, mixture in self._in_modes(expecting.elapsed).items():
             expected.mean[row], expected.covariance[row] = mixture.moments
             if rule.label is not None:
-                by_labels[row] = mixture.log_gain(rule, seen.labels)
-        owner = assign_detections(rule, expected, seen, self._log_looks, by_labels)
-        own = own_detections(owner, seen.boxes, seen.scores)
-        after, refiltered = follow(rule, before, expected, owner, own, expecting)
+                by_labels[row] = mixture.log_gain(rule, sightings.labels)
+        owner = assign_detections(rule, expected, sightings, self._log_looks, by_labels)
+        assigned = own_detections(owner, sightings.boxes, sightings.scores)
+        updated, refiltered = follow(rule, previous, expected, owner, assigned, expecting)
         if waiting:
-            left = advance_tentative(compiled, waiting, after, own, found is not None)
+            tentative = advance_tentative(compiled, waiting, updated, assigned, detections is not None)
             if rule.label is not None:
-                whose = [seen.labels[k] if k != UNASSIGNED else "" for k in owner[-len(waiting) :].tolist()]
-                left = label_tentative(waiting, left, rule.label.log(whose))
-            history = evolve(history, candidates={**history.candidates, compiled.plate.name: left})
+                whose = [
+                    sightings.labels[k] if k != UNASSIGNED else "" for k in owner[-len(waiting) :].tolist()
+                ]
+                tentative = label_tentative(waiting, tentative, rule.label.log(whose))
+            history = evolve(history, candidates={**history.candidates, compiled.plate.name: tentative})
         is_given, count, rows = owner != UNASSIGNED, self.count, None
         history = self._record_refusals(
-            history, (expected.mean, expected.covariance), (is_given, owner), seen
+            history, (expected.mean, expected.covariance), (is_given, owner), sightings
         )
         if self.rows is not None:
             live = slice(count)
             rows = Given(
-                after.mean[live],
-                after.covariance[live],
-                own[live],
+                updated.mean[live],
+                updated.covariance[live],
+                assigned[live],
                 is_given[live],
                 self.rows.columns.existence,
-                after.observed[live],
-                seen.boxes,
-                looked=found is not None,
+                updated.observed[live],
+                sightings.boxes,
+                looked=detections is not None,
             )
-        others = {}
+        states = {}
         for row, (target, state) in enumerate(self.others.items(), count):
-            given = None if found is None else own[row : row + is_given[row]]
+            detection = None if detections is None else assigned[row : row + is_given[row]]
             labels = {}
             if rule.label is not None and is_given[row]:
-                labels = {agent: rule.label.told([seen.labels[owner[row]]])}
-            state = give_detections(state, dict.fromkeys(compiled.association_rules, given), labels)
-            others[target] = remember_detections(state, agent, after.observed[row], refiltered.get(row))
-        return Shared(rows, others, name_owners(owner, names, len(seen.boxes)), history)
+                labels = {agent: rule.label.told([sightings.labels[owner[row]]])}
+            state = give_detections(state, dict.fromkeys(compiled.association_rules, detection), labels)
+            states[target] = remember_detections(state, agent, updated.observed[row], refiltered.get(row))
+        return Shared(rows, states, name_owners(owner, names, len(sightings.boxes)), history)
 
     def associate_marginal(self, history: TrackHistory, looks: Mapping[str, Found]) -> Shared:
-        """What sensors saw, shared by probability among targets that exist with one and unconfirmed tracks.
+        """Share what sensors saw by probability among targets that exist with one and unconfirmed tracks.
 
         `looks` has the sensors that looked. They are taken one after the other, each with what those before
         it have told.
         """
         compiled, frames, plate = self.compiled, self.work.cache.frames, self.compiled.plate.name
         rules = {agent: rule for agent in compiled.sensors if (rule := CrowdRule.of(compiled, agent))}
-        first, *_, last = (*rules, *rules)
-        before = self._tracks()
+        first, *_, last_agent = (*rules, *rules)
+        tracks = self._tracks()
         expecting = predictor(self.work, compiled)
-        mean, covariance = expecting(before.mean, before.covariance)
+        mean, covariance = expecting(tracks.mean, tracks.covariance)
         watches, targets = history.watches.get(plate, {}), (tuple(self.names), mean)
         watched = Watched.watch(compiled, self.work.frame.index, watches, looks, targets)
         mean, covariance = watched.move(mean, covariance)
@@ -266,131 +268,134 @@ class Several:
         seen_first = looks.get(first)
         crowd, detection_model = expect_crowd(rules[first], frames, crowd, detection_model, seen_first)
         clocks = plate_clocks(compiled, clocks_now(self.work, history))
-        done = dict.fromkeys(rules, given_nothing(crowd, detection_model))
-        for agent in [one for one in rules if one in looks]:
+        links = dict.fromkeys(rules, given_nothing(crowd, detection_model))
+        for agent in [name for name in rules if name in looks]:
             rule = evolve(rules[agent], sensor=watched.aim(rules[agent].sensor.at(frames), clocks))
-            further = None if agent == first else agent
-            known = detection_model.by(further)
-            done[agent] = associate_marginal(rule, frames.current, crowd, known, looks[agent])
-            detection_model = detection_model.after(further, done[agent].detection_model)
-            crowd = evolve(crowd, existence=done[agent].existence)
-            if agent != last:
-                crowd = after_look(rule, crowd, looks[agent], done[agent])
+            sensor = None if agent == first else agent
+            model = detection_model.by(sensor)
+            links[agent] = associate_marginal(rule, frames.current, crowd, model, looks[agent])
+            detection_model = detection_model.after(sensor, links[agent].detection_model)
+            crowd = evolve(crowd, existence=links[agent].existence)
+            if agent != last_agent:
+                crowd = after_look(rule, crowd, looks[agent], links[agent])
         history = evolve(history, detection_models={**history.detection_models, plate: detection_model})
-        rows, boxes, has_own = None, seen_first or Found.none(), np.diff(done[first].starts) > 0
+        rows, boxes, has_own = None, seen_first or Found.none(), np.diff(links[first].starts) > 0
         if rules[first].sensor.has_extent:
-            history = self._record_refusals(history, (mean, covariance), (has_own, done[first].owner), boxes)
+            history = self._record_refusals(history, (mean, covariance), (has_own, links[first].owner), boxes)
         if self.rows is not None:
-            rows = self._given(mean, covariance, seen_first, done[first])
+            rows = self._given(mean, covariance, seen_first, links[first])
         names = self.names
-        owners = [name_owners(done[agent].owner, names, len(found.values)) for agent, found in looks.items()]
-        seen = {agent: looks.get(agent) for agent in rules}
-        others = {
-            target: self._told(watched.move_target(state), row, seen, done, float(crowd.existence[row]))
+        owners = [
+            name_owners(links[agent].owner, names, len(detections.values))
+            for agent, detections in looks.items()
+        ]
+        by_agent = {agent: looks.get(agent) for agent in rules}
+        states = {
+            target: self._told(watched.move_target(state), row, by_agent, links, float(crowd.existence[row]))
             for row, (target, state) in enumerate(self.others.items(), self.count)
         }
         if watched.watches:
             history = evolve(history, watches={**history.watches, plate: watched.watches})
-        return Shared(rows, others, tuple(chain.from_iterable(owners)), history, watched.events)
+        return Shared(rows, states, tuple(chain.from_iterable(owners)), history, watched.events)
 
     def _record_refusals(
         self,
         history: TrackHistory,
         expected: tuple[Floats, Floats],
         assigned: tuple[Bools, Ints],
-        seen: Found,
+        detections: Found,
     ) -> TrackHistory:
         """Record which bounds refused detections beside targets without one."""
         tracks = self.names, self.rows
         return record_refusals(
-            self.compiled, self.work.frame.index, history, tracks, expected, (*assigned, seen.boxes)
+            self.compiled, self.work.frame.index, history, tracks, expected, (*assigned, detections.boxes)
         )
 
     def _existence(self) -> Floats:
         """(T,) probability that each exists, as of the last frame."""
-        others = [1.0 if one.existence is None else one.existence for one in self.others.values()]
+        of_states = [1.0 if state.existence is None else state.existence for state in self.others.values()]
         if self.rows is None:
-            return np.array(others, dtype=np.float64)
-        known = self.rows.columns.existence
-        return np.concatenate([known, others]) if others else known
+            return np.array(of_states, dtype=np.float64)
+        of_rows = self.rows.columns.existence
+        return np.concatenate([of_rows, of_states]) if of_states else of_rows
 
     def _given(
-        self, mean: Floats, covariance: Floats, found: Found | None, done: MarginalAssociation
+        self, mean: Floats, covariance: Floats, detections: Found | None, association: MarginalAssociation
     ) -> Given:
-        """What the rows are given of what their only sensor found; None where it did not look."""
+        """The share of the rows in what their only sensor found; None where it did not look."""
         assert self.rows is not None
-        live, seen = slice(self.count), Found.none() if found is None else found
+        live, sightings = slice(self.count), Found.none() if detections is None else detections
         return Given(
             mean[live],
             covariance[live],
-            own_detections(done.owner[live], seen.boxes, seen.scores),
-            np.diff(done.starts[: self.count + 1]) > 0,
-            done.existence[live],
+            own_detections(association.owner[live], sightings.boxes, sightings.scores),
+            np.diff(association.starts[: self.count + 1]) > 0,
+            association.existence[live],
             self.rows.columns.observed,
-            seen.boxes,
-            done,
-            found is not None,
+            sightings.boxes,
+            association,
+            detections is not None,
         )
 
     def _told(
         self,
         state: TargetState,
         row: int,
-        seen: Mapping[str, Found | None],
-        done: Mapping[str, MarginalAssociation],
+        detections: Mapping[str, Found | None],
+        associations: Mapping[str, MarginalAssociation],
         existence: float,
     ) -> TargetState:
         """A target with what its agents are given, and how probably it exists."""
-        own: dict[str, Floats | None] = {}
+        by_agent: dict[str, Floats | None] = {}
         labels: dict[str, Floats] = {}
-        for agent, found in seen.items():
-            if found is None:  # nobody looked
-                own[agent] = None
+        for agent, sightings in detections.items():
+            if sightings is None:  # nobody looked
+                by_agent[agent] = None
                 continue
-            which = slice(*done[agent].starts[row : row + 2])
-            columns, weights = done[agent].columns[which], done[agent].weights[which]
-            parts = [found.values[columns], found.scores[columns]]
+            span = slice(*associations[agent].starts[row : row + 2])
+            columns, weights = associations[agent].columns[span], associations[agent].weights[span]
+            parts = [sightings.values[columns], sightings.scores[columns]]
             if self.compiled.plate.spec.associate == "marginal":
                 parts.append(weights)
-            own[agent] = np.column_stack(parts)
+            by_agent[agent] = np.column_stack(parts)
             rule = self.compiled.association_rules[agent].label
             if rule is not None and len(columns):
-                labels[agent] = rule.told([found.labels[column] for column in columns.tolist()])
-        return evolve(give_detections(state, own, labels), existence=existence)
+                labels[agent] = rule.told([sightings.labels[column] for column in columns.tolist()])
+        return evolve(give_detections(state, by_agent, labels), existence=existence)
 
     @property
     def count(self) -> int:
-        """How many are rows."""
+        """The number of rows."""
         return 0 if self.rows is None else len(self.rows.ids)
 
     @property
     def names(self) -> Sequence[str]:
         """All of them."""
-        own = () if self.rows is None else self.rows.ids
-        return (*own, *self.others) if self.others else own
+        row_ids = () if self.rows is None else self.rows.ids
+        return (*row_ids, *self.others) if self.others else row_ids
 
     def _tracks(self) -> Tracks:
         """Their beliefs after the last frame, and what is remembered of their detections."""
         agent, rule = next(iter(self.compiled.association_rules.items()))
-        now, size = None if self.rows is None else self.rows.columns, len(self.compiled.moments.fields)
-        if now is not None and not self.others:
-            return Tracks(now.mean, now.covariance, now.observed)
+        rows, size = None if self.rows is None else self.rows.columns, len(self.compiled.moments.fields)
+        if rows is not None and not self.others:
+            return Tracks(rows.mean, rows.covariance, rows.observed)
         states = self.others.values()
-        beliefs = [one.belief for one in states]
+        beliefs = [state.belief for state in states]
         width = first_observed(rule, np.empty((0, 4)), size).shape[1]
-        moments = [moments_of(one) for one in beliefs]
+        moments = [moments_of(belief) for belief in beliefs]
         observed = [
-            remembered(rule, one.references.get(agent, {}), mean)
-            for one, (mean, _) in zip(states, moments, strict=True)
+            remembered(rule, state.references.get(agent, {}), mean)
+            for state, (mean, _) in zip(states, moments, strict=True)
         ]
-        tracks = Tracks(
+        added = Tracks(
             np.array([mean for mean, _ in moments]).reshape(-1, size),
             np.array([covariance for _, covariance in moments]).reshape(-1, size, size),
             np.array(observed).reshape(len(states), width),
         )
-        if now is None:
-            return tracks
-        pairs = (now.mean, tracks.mean), (now.covariance, tracks.covariance), (now.observed, tracks.observed)
+        if rows is None:
+            return added
+        pairs = (rows.mean, added.mean), (rows.covariance, added.covariance), (rows.observed, added.observed)
         return Tracks(*(np.concatenate(pair) for pair in pairs))
 
     def _in_modes(self, elapsed: float) -> dict[int, ExpectedInModes]:
@@ -400,9 +405,9 @@ class Several:
             return {}
         motion = confined(compiled.motion, frame.width, frame.height, self.work.inputs)
         settings = getattr(compiled.belief, "settings", None)
-        by = settings if isinstance(settings, Gaussian) else Gaussian(filter="extended")
-        beliefs = enumerate((one.belief for one in self.others.values()), self.count)
-        return {row: expect(belief, motion, elapsed, by) for row, belief in beliefs}
+        gaussian = settings if isinstance(settings, Gaussian) else Gaussian(filter="extended")
+        beliefs = enumerate((state.belief for state in self.others.values()), self.count)
+        return {row: expect(belief, motion, elapsed, gaussian) for row, belief in beliefs}
 
     def _log_looks(self, rows: Ints, boxes: Floats) -> Floats:
         """(M,) log-likelihoods of boxes (M, 4) by what targets look like; 0 of tracks that nobody knows.
@@ -410,24 +415,26 @@ class Several:
         Whose they are is in `rows` (M,), in order.
         """
         names, log = self.names, np.zeros(len(boxes))
-        own, firsts = np.unique(rows[rows < len(names)], return_index=True)
+        own_rows, firsts = np.unique(rows[rows < len(names)], return_index=True)
         starts = np.append(firsts, np.count_nonzero(rows < len(names)))
         states = [*self.others.values()]
         by_kind: dict[tuple[str, ...], list[int]] = {}
-        for place, row in enumerate(own.tolist()):
+        for place, row in enumerate(own_rows.tolist()):
             kind: tuple[str, ...] = () if row < self.count else tuple(states[row - self.count].references)
             by_kind.setdefault(kind, []).append(place)
         for kind, places in by_kind.items():
-            chosen = own[places]
-            if self.rows is not None and chosen[0] < self.count:
-                known = {agent: ReferenceRows.some(of, chosen) for agent, of in self.rows.references.items()}
+            group = own_rows[places]
+            if self.rows is not None and group[0] < self.count:
+                memories = {
+                    agent: ReferenceRows.some(memory, group) for agent, memory in self.rows.references.items()
+                }
             else:
-                references = [states[row - self.count].references for row in chosen.tolist()]
-                known = {agent: ReferenceRows.of([one[agent] for one in references]) for agent in kind}
-            at = np.concatenate([np.arange(starts[place], starts[place + 1]) for place in places])
+                references = [states[row - self.count].references for row in group.tolist()]
+                memories = {agent: ReferenceRows.of([entry[agent] for entry in references]) for agent in kind}
+            indices = np.concatenate([np.arange(starts[place], starts[place + 1]) for place in places])
             sizes = np.cumsum([0, *(starts[place + 1] - starts[place] for place in places)])
-            several = [names[row] for row in chosen.tolist()]
-            log[at] = score_looks(self.work, self.compiled, several, known, boxes[at], sizes)
+            targets = [names[row] for row in group.tolist()]
+            log[indices] = score_looks(self.work, self.compiled, targets, memories, boxes[indices], sizes)
         return log
 
 

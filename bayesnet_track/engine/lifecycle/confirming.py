@@ -53,7 +53,7 @@ target's, and too little is left for a candidate.
 
 @dataclass(frozen=True, eq=False)
 class Births:
-    """What one plate's births need of the frame."""
+    """Context of one plate's births in a frame."""
 
     work: FrameContext
     tracks: LiveTable
@@ -294,7 +294,7 @@ def _refuse(births: Births, waiting: int) -> None:
 def match_known(
     births: Births, memories: Sequence[AppearanceMemory], boxes: Floats, detections: Floats
 ) -> tuple[Match, ...]:
-    """Which of the boxes (M, 4) are which of the known targets."""
+    """Matches of the boxes (M, 4) with the known targets."""
     reidentify = births.rule.reidentify
     if reidentify is None or not memories or not len(boxes):
         return ()
@@ -360,20 +360,20 @@ class Unseen:
 
 
 def find_continuation(
-    tracks: LiveTable, unseen: Unseen, candidate: Candidate, now: float, reach_box: float
+    tracks: LiveTable, unseen: Unseen, candidate: Candidate, frame_time: float, reach_box: float
 ) -> Continuation | None:
     """The nearest live target that lost its detections when the candidate's began.
 
     In the frame of its last detection the candidate had none, for else they are two objects; and no other
-    target covers it, for that would be why it is missed. `now` is the time, frame intervals; `reach_box` says
-    how far off a target may be, in box sides.
+    target covers it, for that would be why it is missed. `frame_time` is in frame intervals; `reach_box`
+    says how far off a target may be, in box sides.
     """
     if not len(unseen.ids) or not candidate.track:
         return None
     looks, frames = np.array([look is not None for look in candidate.looks[::-1]]), unseen.frames
     had_own = (frames < len(looks)) & looks[np.minimum(frames, len(looks) - 1)]
     times = np.array([time for time, _ in candidate.track])
-    boxes, ends = np.array([box for _, box in candidate.track]), now - frames
+    boxes, ends = np.array([box for _, box in candidate.track]), frame_time - frames
     first = np.searchsorted(times, ends + 0.5, side="right")
     later = np.minimum(first, len(times) - 1)
     gaps, places, sizes = times[later] - ends, boxes[later], unseen.boxes[:, 2] * unseen.boxes[:, 3]

@@ -37,9 +37,9 @@ def look(
     work: FrameContext,
     history: TrackHistory,
     boxes: Callable[[Sequence[str]], Floats],
-    held: Callable[[str], Sequence[str]],
+    list_live: Callable[[str], Sequence[str]],
 ) -> tuple[dict[str, Seen], TrackHistory, tuple[DetectorFailed | DetectionsCut, ...]]:
-    """What each plate that looks in this frame is given, the detectors' states, and what went wrong.
+    """Detections of each plate that looks in this frame, the detectors' states, and what went wrong.
 
     Of several cameras those look that have a frame at this time, each with its own detector. One that has to
     be shown its target learns the first one of the plate that is held. One that raises, or returns anything
@@ -47,40 +47,40 @@ def look(
     """
     engine, frame = work.engine, work.frame
     due = _due(work, history)
-    found: dict[str, Detections] = {}
+    detections: dict[str, Detections] = {}
     events: list[DetectorFailed | DetectionsCut] = []
     states = dict(history.detectors)
     for name in dict.fromkeys(due.values()):
-        asking = [one for one in due if due[one] == name]
+        asking = [key for key in due if due[key] == name]
         plates, (first, camera) = [plate for plate, _ in asking], asking[0]
-        detector, at, pair = engine.detectors[name], None, work.cache.frames.of(camera)
+        detector, box, pair = engine.detectors[name], None, work.cache.frames.of(camera)
         assert pair is not None
         if hasattr(
             detector, "knows_target"
         ):  # else it has nothing to learn, and asking who is held takes long
-            shown = next((targets[0] for plate in plates if (targets := held(plate))), None)
-            at = None if shown is None else boxes([shown])[0]
+            target = next((targets[0] for plate in plates if (targets := list_live(plate))), None)
+            box = None if target is None else boxes([target])[0]
         try:
-            seen, states[name] = _ask(detector, states.get(name), pair, at)
+            answer, states[name] = _ask(detector, states.get(name), pair, box)
         except FAULTS as error:  # a detector is a guest's code: whatever it raises must not end the run
-            until, times = next_try(frame.index, history.failed.get(name))
+            next_frame, times = next_try(frame.index, history.failed.get(name))
             word = of_camera(_word(engine, first), camera)
-            events.append(DetectorFailed(frame.index, word, said(error), until, times))
-            fault = Fault(times, frame.index, until, True)
+            events.append(DetectorFailed(frame.index, word, said(error), next_frame, times))
+            fault = Fault(times, frame.index, next_frame, True)
             history = evolve(history, failed={**history.failed, name: fault})
             continue
-        if seen is None:
+        if answer is None:
             continue
-        found[name] = seen
-        if seen.cut:
+        detections[name] = answer
+        if answer.cut:
             word = of_camera(_word(engine, first), camera)
-            history, event = _count_cut(history, name, word, frame.index, seen)
+            history, event = _count_cut(history, name, word, frame.index, answer)
             events += event
-    given: dict[str, dict[str, Found]] = {}
+    by_plate: dict[str, dict[str, Found]] = {}
     for (plate, camera), name in due.items():
-        if name in found:
-            given.setdefault(plate, {})[camera] = _of_plate(engine, plate, found[name])
-    return dict(given), evolve(history, detectors=states), tuple(events)
+        if name in detections:
+            by_plate.setdefault(plate, {})[camera] = _of_plate(engine, plate, detections[name])
+    return dict(by_plate), evolve(history, detectors=states), tuple(events)
 
 
 def _due(work: FrameContext, history: TrackHistory) -> dict[tuple[str, str], str]:
@@ -92,8 +92,8 @@ def _due(work: FrameContext, history: TrackHistory) -> dict[tuple[str, str], str
             continue  # sensors are no detectors of boxes: `scan`
         interval = frames_between_looks(compiled, work.net, history)
         for camera, name in compiled.detectors.items():
-            own = work.frame.of(camera)
-            is_due = own is not None and own.ordinal % interval == 0
+            image = work.frame.of(camera)
+            is_due = image is not None and image.ordinal % interval == 0
             if is_due and _is_in(history, name, work.frame.index):
                 due[plate, camera] = name
     return due
@@ -118,23 +118,23 @@ def scan(work: FrameContext, plate: str) -> dict[str, Found]:
     compiled = work.engine.plates[plate]
     scanner = work.engine.detectors[compiled.detectors[""]]
     assert isinstance(scanner, Scanner)
-    found = {}
-    for agent, seen in scanner.scans(work.frame).items():
+    detections = {}
+    for agent, readings in scanner.scans(work.frame).items():
         if agent in compiled.sensors:
-            best = np.argsort(-seen.scores, kind="stable")
-            found[agent] = Found(seen.values[best], seen.scores[best], best)
-    return found
+            order = np.argsort(-readings.scores, kind="stable")
+            detections[agent] = Found(readings.values[order], readings.scores[order], order)
+    return detections
 
 
 def _count_cut(
-    history: TrackHistory, name: str, word: str, frame: int, found: Detections
+    history: TrackHistory, name: str, word: str, frame: int, detections: Detections
 ) -> tuple[TrackHistory, list[DetectionsCut]]:
     """Frames in which a detector found more than it may give are counted, and told of by powers of ten."""
-    before = history.cut.get(name, 0)
-    now = evolve(history, cut={**history.cut, name: before + 1})
-    if not is_refusal_notable(before, before + 1):
-        return now, []
-    return now, [DetectionsCut(frame, word, len(found), found.cut, before + 1)]
+    count = history.cut.get(name, 0)
+    counted = evolve(history, cut={**history.cut, name: count + 1})
+    if not is_refusal_notable(count, count + 1):
+        return counted, []
+    return counted, [DetectionsCut(frame, word, len(detections), detections.cut, count + 1)]
 
 
 def _is_in(history: TrackHistory, detector: str, frame: int) -> bool:
@@ -144,41 +144,45 @@ def _is_in(history: TrackHistory, detector: str, frame: int) -> bool:
 
 
 def _ask(
-    detector: Detector, state: DetectorState | None, pair: FramePair, shown: Floats | None
+    detector: Detector, state: DetectorState | None, pair: FramePair, box: Floats | None
 ) -> tuple[Detections | None, DetectorState]:
-    now = detector.start() if state is None else state
-    if shown is not None and isinstance(detector, LearningDetector) and not detector.knows_target(now):
-        now = detector.learn(pair, shown, now)
-    found, after = detector.detect(pair, now)
-    if found is None:
-        return None, after
-    found = check_detections(found)
-    if len(found) <= MOST_DETECTIONS and (found.scores[1:] <= found.scores[:-1]).all():
-        return found, after
-    best = np.argsort(-found.scores, kind="stable")[:MOST_DETECTIONS]
-    labels = tuple([found.labels[k] for k in best.tolist()])
-    cut = found.cut + len(found) - len(best)
-    return Detections(found.boxes[best], found.scores[best], labels, cut), after
+    memory = detector.start() if state is None else state
+    if box is not None and isinstance(detector, LearningDetector) and not detector.knows_target(memory):
+        memory = detector.learn(pair, box, memory)
+    detections, learnt = detector.detect(pair, memory)
+    if detections is None:
+        return None, learnt
+    detections = check_detections(detections)
+    if len(detections) <= MOST_DETECTIONS and (detections.scores[1:] <= detections.scores[:-1]).all():
+        return detections, learnt
+    order = np.argsort(-detections.scores, kind="stable")[:MOST_DETECTIONS]
+    labels = tuple([detections.labels[k] for k in order.tolist()])
+    cut = detections.cut + len(detections) - len(order)
+    return Detections(detections.boxes[order], detections.scores[order], labels, cut), learnt
 
 
-def _of_plate(engine: Engine, plate: str, found: Detections) -> Found:
+def _of_plate(engine: Engine, plate: str, detections: Detections) -> Found:
     compiled = engine.plates[plate]
     labels = () if (rules := compiled.lifecycle) is None or rules.birth is None else rules.birth.labels
-    by = [one.label for one in compiled.association_rules.values() if one.label is not None]
-    told = tuple(found.labels) if by else ()
-    for rule in by:
-        _say_unknown(rule, told)
-    everything = Found(found.boxes, found.scores, np.arange(len(found)), told)
+    label_rules = [
+        association.label
+        for association in compiled.association_rules.values()
+        if association.label is not None
+    ]
+    known_labels = tuple(detections.labels) if label_rules else ()
+    for rule in label_rules:
+        _say_unknown(rule, known_labels)
+    everything = Found(detections.boxes, detections.scores, np.arange(len(detections)), known_labels)
     if not labels:
         return everything
-    return everything.only(np.array([label in labels for label in found.labels], dtype=bool))
+    return everything.only(np.array([label in labels for label in detections.labels], dtype=bool))
 
 
 def _say_unknown(rule: LabelRule, labels: Iterable[str]) -> None:
-    known = ", ".join(rule.labels)
+    allowed_labels = ", ".join(rule.labels)
     for label in sorted({*labels} - {*rule.labels, ""}):
-        what = f"label {label!r} of detections says nothing of {rule.category}"
-        notice(f"{what}: its confusion knows {known}")
+        message = f"label {label!r} of detections says nothing of {rule.category}"
+        notice(f"{message}: its confusion knows {allowed_labels}")
 
 
 def _word(engine: Engine, plate: str) -> str:

@@ -18,11 +18,11 @@ def end_duplicates(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame)
     """The younger of two nets whose beliefs hold one object ends; joined ones are known to be two."""
     if rule.merge_duplicates is None:
         return
-    held, before = tracks.held(plate), tracks.history.overlaps
-    own = set(tracks.of_plate(plate)) if before else set()
-    others = {pair: streak for pair, streak in before.items() if not own.intersection(pair)}
-    streaks = overlapping(held, *tracks.beliefs(held), before, rule.merge_duplicates)
-    if not streaks and not before:
+    live, previous = tracks.held(plate), tracks.history.overlaps
+    of_plate = set(tracks.of_plate(plate)) if previous else set()
+    elsewhere = {pair: streak for pair, streak in previous.items() if not of_plate.intersection(pair)}
+    streaks = overlapping(live, *tracks.beliefs(live), previous, rule.merge_duplicates)
+    if not streaks and not previous:
         return
     joined = {frozenset(pair) for pair in tracks.net.joins}
     streaks = {pair: streak for pair, streak in streaks.items() if frozenset(pair) not in joined}
@@ -40,18 +40,18 @@ def end_duplicates(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame)
                 )
             )
             ended.add(younger)
-    left = {pair: streak for pair, streak in streaks.items() if not ended.intersection(pair)}
-    tracks.history = evolve(tracks.history, overlaps={**others, **left})
+    remaining = {pair: streak for pair, streak in streaks.items() if not ended.intersection(pair)}
+    tracks.history = evolve(tracks.history, overlaps={**elsewhere, **remaining})
 
 
 def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
     """Nets of targets that were lost for too long, or hardly exist, end; what they knew is kept a while."""
-    least = None if rule.existence is None else rule.existence.end
+    limit = None if rule.existence is None else rule.existence.end
     vanishing = (
-        {} if least is None else {**dict(tracks.vanishing(plate, least)), **_outside(tracks, plate, least)}
+        {} if limit is None else {**dict(tracks.vanishing(plate, limit)), **_outside(tracks, plate, limit)}
     )
     causes = {} if rule.death is None else dict(tracks.ending(plate, rule.death))
-    for target in (*causes, *(one for one in vanishing if one not in causes)):
+    for target in (*causes, *(name for name in vanishing if name not in causes)):
         unseen = tracks.record(target).unseen_frames
         why = causes.get(target, ("existence", unseen, 0))
         enough = None if rule.death is None else rule.death.unseen_frames
@@ -66,25 +66,25 @@ def end_lost(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> No
                 *why,
                 remembered=rule.reidentify is not None,
                 existence=existence,
-                end=None if existence is None else least,
+                end=None if existence is None else limit,
                 unseen_frames=unseen if is_too_long else 0,
             ),
         )
     _forget(tracks, plate, rule, frame)
 
 
-def _outside(tracks: LiveTable, plate: str, least: float) -> dict[str, float]:
-    """Targets that exist in the area of a plate with less probability than `least`, and which."""
+def _outside(tracks: LiveTable, plate: str, limit: float) -> dict[str, float]:
+    """Targets that exist in the area of a plate with less probability than `limit`, and which."""
     views = tracks.engine.plates[plate].views
     if views is None or views.area is None:
         return {}
-    found: dict[str, float] = {}
+    shares: dict[str, float] = {}
     for target in tracks.of_plate(plate):
         state = tracks.state(target)
         share = views.share_in_area(*moments_of(state.belief)) * (state.existence or 1.0)
-        if share < least:
-            found[target] = share
-    return found
+        if share < limit:
+            shares[target] = share
+    return shares
 
 
 def _end(tracks: LiveTable, plate: str, died: TargetDied) -> None:
@@ -98,18 +98,18 @@ def _end(tracks: LiveTable, plate: str, died: TargetDied) -> None:
 def _forget(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> None:
     """Targets that ended long ago or are too many are forgotten, and overlaps of all that ended."""
     if rule.reidentify is not None and rule.birth is not None:
-        own = [one for one in tracks.history.dead if one.template == plate]
-        kept = [one for one in own if frame.time - one.time <= rule.reidentify.frames]
-        gone = {one.target for one in own} - {
-            one.target for one in kept[-REMEMBERED * rule.birth.max_targets :]
+        dead = [entry for entry in tracks.history.dead if entry.template == plate]
+        recent = [entry for entry in dead if frame.time - entry.time <= rule.reidentify.frames]
+        gone = {entry.target for entry in dead} - {
+            entry.target for entry in recent[-REMEMBERED * rule.birth.max_targets :]
         }
         if gone:
-            left = tuple(one for one in tracks.history.dead if one.target not in gone)
-            tracks.history = evolve(tracks.history, dead=left)
+            remaining = tuple(entry for entry in tracks.history.dead if entry.target not in gone)
+            tracks.history = evolve(tracks.history, dead=remaining)
     # A target that returns starts its overlaps anew.
-    before, live = tracks.history.overlaps, tracks.net.targets.keys()
-    overlaps = {pair: streak for pair, streak in before.items() if live >= {*pair}}
-    if len(overlaps) < len(before):
+    previous, live = tracks.history.overlaps, tracks.net.targets.keys()
+    overlaps = {pair: streak for pair, streak in previous.items() if live >= {*pair}}
+    if len(overlaps) < len(previous):
         tracks.history = evolve(tracks.history, overlaps=overlaps)
     births = tracks.history.births
     if len(births) > len(live):
@@ -118,7 +118,7 @@ def _forget(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> Non
 
 
 def remember(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:
-    """What a live target would be remembered by."""
+    """Memory by which a live target would be recognised."""
     record, birth = tracks.record(target), tracks.history.births[target]
     memory = record.mean, record.covariance, record.time, tracks.references(target)
     return AppearanceMemory(target, plate, *memory, birth, tracks.kinds(target, plate))

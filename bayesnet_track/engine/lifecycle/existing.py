@@ -69,7 +69,7 @@ class Crowd:
 
 @dataclass(frozen=True, eq=False)
 class MarginalAssociation:
-    """What T targets are given of N detections.
+    """The shares of N detections that T targets are given.
 
     Attributes:
         existence: (T,) probability that each exists.
@@ -91,20 +91,24 @@ class MarginalAssociation:
 
 
 def expect_crowd(
-    rule: CrowdRule, frames: FramePair, crowd: Crowd, detection_model: DetectionModel, found: Found | None
+    rule: CrowdRule,
+    frames: FramePair,
+    crowd: Crowd,
+    detection_model: DetectionModel,
+    detections: Found | None,
 ) -> tuple[Crowd, DetectionModel]:
-    """The crowd and its unconfirmed tracks before the first look of a frame, which `found` something.
+    """The crowd and its unconfirmed tracks before the first look of a frame.
 
     They are those that survive, and are predicted; the means and covariances of the crowd are so already.
     """
-    frame, last = frames.current, frames.previous
-    dt = 1.0 if last is None else frame.time - last.time
+    frame, previous = frames.current, frames.previous
+    dt = 1.0 if previous is None else frame.time - previous.time
     survival = rule.existence.survival**dt
-    size, before = (frame.width, frame.height), detection_model.unconfirmed
+    size, tracks_before = (frame.width, frame.height), detection_model.unconfirmed
     motion = framed(rule.motion, size, frames.names)
-    unconfirmed = predict_unconfirmed(before, motion, dt, size)
-    if found is not None and rule.sensor.has_extent:
-        fast = with_fast(rule, before, unconfirmed, found.boxes, dt)
+    unconfirmed = predict_unconfirmed(tracks_before, motion, dt, size)
+    if detections is not None and rule.sensor.has_extent:
+        fast = with_fast(rule, tracks_before, unconfirmed, detections.boxes, dt)
         unconfirmed = unconfirmed.extend(predict_unconfirmed(fast, motion, dt, size))
     chain = detection_model.chain(rule.existence)
     unconfirmed = evolve(
@@ -112,15 +116,16 @@ def expect_crowd(
         existence=survival * unconfirmed.existence,
         presence=pass_time(unconfirmed.presence, chain, dt),
     )
-    names, known = tuple(crowd.names), detection_model.known
+    names, presences = tuple(crowd.names), detection_model.known
     live = set(names)
-    over = np.array([name not in live for name in known.names], dtype=np.bool_)
-    model = detection_model.after_over(known.presence.take(over), rule.existence)
+    over = np.array([name not in live for name in presences.names], dtype=np.bool_)
+    model = detection_model.after_over(presences.presence.take(over), rule.existence)
     model = evolve(model, unconfirmed=unconfirmed, known=_later(model, rule, names, dt))
-    further = {
-        sensor: evolve(one, known=_later(one, rule, names, dt)) for sensor, one in model.further.items()
+    further_models = {
+        sensor: evolve(sensor_model, known=_later(sensor_model, rule, names, dt))
+        for sensor, sensor_model in model.further.items()
     }
-    return evolve(crowd, existence=survival * crowd.existence), evolve(model, further=further)
+    return evolve(crowd, existence=survival * crowd.existence), evolve(model, further=further_models)
 
 
 def _later(model: DetectionModel, rule: CrowdRule, names: tuple[str, ...], dt: float) -> Known:
@@ -129,7 +134,7 @@ def _later(model: DetectionModel, rule: CrowdRule, names: tuple[str, ...], dt: f
 
 
 def given_nothing(crowd: Crowd, detection_model: DetectionModel) -> MarginalAssociation:
-    """What each target is given where nobody looked."""
+    """The share each target is given where nobody looked."""
     count = len(crowd.mean)
     return MarginalAssociation(
         crowd.existence,
@@ -143,10 +148,10 @@ def given_nothing(crowd: Crowd, detection_model: DetectionModel) -> MarginalAsso
 
 
 def associate_marginal(
-    rule: CrowdRule, frame: Frame, crowd: Crowd, detection_model: DetectionModel, found: Found
+    rule: CrowdRule, frame: Frame, crowd: Crowd, detection_model: DetectionModel, detections: Found
 ) -> MarginalAssociation:
-    """What each target is given of what a sensor `found`, and the unconfirmed tracks after it."""
-    detection_model, unconfirmed = rule.sensor.learn(detection_model, found), detection_model.unconfirmed
+    """Shares of a sensor's detections that each target is given, and the unconfirmed tracks after it."""
+    detection_model, unconfirmed = rule.sensor.learn(detection_model, detections), detection_model.unconfirmed
     all_of = evolve(
         crowd,
         mean=np.concatenate([crowd.mean, unconfirmed.mean]),
@@ -155,8 +160,8 @@ def associate_marginal(
         values=unconfirmed.values,
     )
     presence = detection_model.known.presence.extend(_as_seen_by(rule, unconfirmed.presence))
-    own = frame.of(rule.camera) or frame
-    settings, area = rule.existence, float(own.width * own.height)
+    image = frame.of(rule.camera) or frame
+    settings, area = rule.existence, float(image.width * image.height)
     chain, cover = detection_model.chain(settings), rule.sensor.cover(all_of.mean, all_of.existence)
     presence = expect_cover(presence, cover, detection_model.share_hidden(settings))
     visible = np.ones(len(cover))
@@ -167,85 +172,96 @@ def associate_marginal(
     weights = Weights.of(all_of.existence, presence, chain, visible)
     if not rule.is_first:  # a false alarm is one of the first sensor
         weights.detection[:, 3:] = 0.0
-    near = rule.sensor.near(crowd.mean, crowd.existence, found, area)
-    begins = detection_model.begin(settings, *near)
+    nearness = rule.sensor.near(crowd.mean, crowd.existence, detections, area)
+    begins = detection_model.begin(settings, *nearness)
     if not rule.is_first:
-        nothing = np.zeros(len(found.values))
+        nothing = np.zeros(len(detections.values))
         begins = evolve(begins, spot=nothing, double=nothing)
-    log_nobody = rule.sensor.log_density(detection_model, found, area) + np.log(begins.density)
-    shared = _share(rule, all_of, weights, found, log_nobody)
+    log_nobody = rule.sensor.log_density(detection_model, detections, area) + np.log(begins.density)
+    shared = _share(rule, all_of, weights, detections, log_nobody)
     existence, presence = weights.after(shared.seen)
     shared = evolve(shared, existence=existence)
-    pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(found.values))
+    pairs = shared.pairs if rule.is_marginal else _assigned(shared, len(detections.values))
     count = len(crowd.mean)
     detection_model = _learn(rule, detection_model, shared, crowd, (cover, begins))
     open_seen = shared.seen[:count] * (1.0 - cover[:count])
-    known = Known(tuple(crowd.names), evolve(presence.take(slice(count)), open_seen=open_seen))
+    presences = Known(tuple(crowd.names), evolve(presence.take(slice(count)), open_seen=open_seen))
     waiting = _seen_by(rule, unconfirmed.presence, presence.take(slice(count, None)))
     unconfirmed = evolve(unconfirmed, presence=waiting)
-    unconfirmed = advance_unconfirmed(rule, unconfirmed, pairs, shared, found)
-    unconfirmed = unconfirmed.extend(begin_unconfirmed(rule, begins, found, shared.free, frame))
-    model = evolve(detection_model, unconfirmed=unconfirmed, known=known)
+    unconfirmed = advance_unconfirmed(rule, unconfirmed, pairs, shared, detections)
+    unconfirmed = unconfirmed.extend(begin_unconfirmed(rule, begins, detections, shared.free, frame))
+    model = evolve(detection_model, unconfirmed=unconfirmed, known=presences)
     return _of_targets(pairs, shared, count, prune(rule, model))
 
 
 def _as_seen_by(rule: CrowdRule, presence: Presence) -> Presence:
-    """That of unconfirmed tracks: what makes them blind or hidden is known of the first sensor alone."""
+    """Presence of unconfirmed tracks; what makes them blind or hidden is of the first sensor alone."""
     if rule.is_first:
         return presence
     nothing = np.zeros(len(presence))
     return evolve(presence, blind=nothing, hidden=nothing)
 
 
-def _seen_by(rule: CrowdRule, before: Presence, after: Presence) -> Presence:
-    return after if rule.is_first else evolve(after, blind=before.blind, hidden=before.hidden)
+def _seen_by(rule: CrowdRule, prior: Presence, posterior: Presence) -> Presence:
+    return posterior if rule.is_first else evolve(posterior, blind=prior.blind, hidden=prior.hidden)
 
 
-def after_look(rule: CrowdRule, crowd: Crowd, found: Found, done: MarginalAssociation) -> Crowd:
+def after_look(rule: CrowdRule, crowd: Crowd, detections: Found, association: MarginalAssociation) -> Crowd:
     """The crowd as a further sensor expects it in the same frame."""
     mean, covariance = crowd.mean.copy(), crowd.covariance.copy()
-    rule.sensor.mix(mean, covariance, found, Mixed(done.starts, done.columns, done.weights, done.missed))
+    rule.sensor.mix(
+        mean,
+        covariance,
+        detections,
+        Mixed(association.starts, association.columns, association.weights, association.missed),
+    )
     return evolve(crowd, mean=mean, covariance=covariance)
 
 
-def _share(rule: CrowdRule, crowd: Crowd, weights: Weights, found: Found, log_nobody: Floats) -> Shared:
-    """Whose the detections are, of targets and unconfirmed tracks in states of these weights."""
+def _share(rule: CrowdRule, crowd: Crowd, weights: Weights, detections: Found, log_nobody: Floats) -> Shared:
+    """Probabilities of whose the detections are, of targets and unconfirmed tracks of these weights."""
     sensor = rule.sensor
-    pairs = sensor.gate(crowd.mean, crowd.covariance, found)
+    pairs = sensor.gate(crowd.mean, crowd.covariance, detections)
     if crowd.modes:
-        pairs = _in_modes(sensor, pairs, crowd.modes, found)
-    if (by := sensor.association.label) is not None and crowd.values is not None and len(crowd.values):
-        log_gains = np.log(crowd.values @ np.exp(by.log_gains(found.labels)).T)
+        pairs = _in_modes(sensor, pairs, crowd.modes, detections)
+    if (
+        (label_rule := sensor.association.label) is not None
+        and crowd.values is not None
+        and len(crowd.values)
+    ):
+        log_gains = np.log(crowd.values @ np.exp(label_rule.log_gains(detections.labels)).T)
         first = len(crowd.mean) - len(crowd.values)
-        own = pairs.rows >= first
+        is_unconfirmed = pairs.rows >= first
         values = pairs.values.copy()
-        values[own] += log_gains[pairs.rows[own] - first, pairs.columns[own]]
+        values[is_unconfirmed] += log_gains[pairs.rows[is_unconfirmed] - first, pairs.columns[is_unconfirmed]]
         pairs = evolve(pairs, values=values)
     if crowd.log_looks is not None and sensor.association.appearance > 0:
-        pairs = with_looks(sensor.association, pairs, crowd.log_looks, found.boxes)
+        pairs = with_looks(sensor.association, pairs, crowd.log_looks, detections.boxes)
     likelihoods = evolve(pairs, values=pairs.values + sensor.log_scale)
     return share(Expected(weights.total, weights.mean_detection), likelihoods, log_nobody)
 
 
-def _in_modes(sensor: Sensor, pairs: Pairs, modes: Mapping[int, ExpectedInModes], found: Found) -> Pairs:
+def _in_modes(sensor: Sensor, pairs: Pairs, modes: Mapping[int, ExpectedInModes], detections: Found) -> Pairs:
     """The pairs with the density of a mixture, a Gaussian for each mode, of targets that have modes."""
     values = pairs.values.copy()
     for row, expected in modes.items():
-        own = np.flatnonzero(pairs.rows == row)
-        if len(own):
-            seen = found.only(pairs.columns[own])
-            logs = sensor.log_gains(expected.means, expected.covariances, seen)
-            logs = logs + expected.log_gains(sensor.association, seen.labels)
+        indices = np.flatnonzero(pairs.rows == row)
+        if len(indices):
+            gated = detections.only(pairs.columns[indices])
+            logs = sensor.log_gains(expected.means, expected.covariances, gated)
+            logs = logs + expected.log_gains(sensor.association, gated.labels)
             with np.errstate(divide="ignore"):
-                values[own] = np.logaddexp.reduce(np.log(expected.shares)[:, None] + logs, axis=0)
+                values[indices] = np.logaddexp.reduce(np.log(expected.shares)[:, None] + logs, axis=0)
     return evolve(pairs, values=values)
 
 
-def _assigned(shared: Shared, found: int) -> Pairs:
+def _assigned(shared: Shared, detection_count: int) -> Pairs:
     """The best assignment of detections that are likelier a target's than nobody's, with weight 1."""
     gains, count = shared.gains, len(shared.existence)
     likely = gains.values > 0.0
-    owner = assign_pairs(gains.rows[likely], gains.columns[likely], gains.values[likely], count, found)
+    owner = assign_pairs(
+        gains.rows[likely], gains.columns[likely], gains.values[likely], count, detection_count
+    )
     rows = np.flatnonzero(owner != UNASSIGNED)
     return Pairs(rows, owner[rows].astype(np.int64), np.ones(len(rows)))
 
@@ -259,27 +275,27 @@ def _learn(
 ) -> DetectionModel:
     """The estimates after the look; `places`: how probably targets are covered, and what detections begin."""
     count, (cover, begins) = len(crowd.names), places
-    cover, seen, existence = cover[:count], shared.seen[:count], shared.existence[:count]
+    cover, seen_shares, existence = cover[:count], shared.seen[:count], shared.existence[:count]
     false, chances = shared.free * (1.0 - begins.target), existence.copy()
     detection = detection_model.chain(rule.existence).detection
     for row, expected in crowd.modes.items():  # one that its mode hides was not missed
         missed = expected.visible * (1.0 - detection)
-        chances[row] -= (existence[row] - seen[row]) * (
+        chances[row] -= (existence[row] - seen_shares[row]) * (
             1.0 - missed / (missed + 1.0 - expected.visible + 1e-300)
         )
-    after = detection_model.after_look(float(false @ (1.0 - begins.near)), float(false @ begins.near))
-    before = detection_model.known.presence.open_seen
-    return after.after_chances(cover, np.minimum(seen, existence), chances, before)
+    model = detection_model.after_look(float(false @ (1.0 - begins.near)), float(false @ begins.near))
+    open_before = detection_model.known.presence.open_seen
+    return model.after_chances(cover, np.minimum(seen_shares, existence), chances, open_before)
 
 
 def _of_targets(
     pairs: Pairs, shared: Shared, count: int, detection_model: DetectionModel
 ) -> MarginalAssociation:
-    own = pairs.rows < count
-    rows, columns, weights = pairs.rows[own], pairs.columns[own], pairs.values[own]
-    best = np.flatnonzero(weights >= 0.5)
+    is_target = pairs.rows < count
+    rows, columns, weights = pairs.rows[is_target], pairs.columns[is_target], pairs.values[is_target]
+    likely = np.flatnonzero(weights >= 0.5)
     owner = np.full(count, UNASSIGNED, dtype=np.int64)
-    owner[rows[best]] = columns[best]
+    owner[rows[likely]] = columns[likely]
     missed = np.clip(1.0 - np.bincount(rows, weights, minlength=count), 0.0, 1.0)
     missed[missed < 1e-12] = 0.0
     starts = np.searchsorted(rows, np.arange(count + 1))

@@ -152,7 +152,7 @@ class Identifying:
     def after(
         self, memory: PlateIdentities, associated: Associated, outcome: Outcome
     ) -> tuple[PlateIdentities, list[Placing], list[Event]]:
-        """What is memory after the frame, who is who in meetings that go on, and what the log says."""
+        """Memory after the frame, who is who in meetings that go on, and what the log says."""
         plate, frame = self.compiled.plate.name, self.work.frame.index
         expecting = predictor(self.work, self.compiled)
         mean, covariance = expecting(self.before.mean, self.before.covariance)
@@ -222,7 +222,7 @@ class Identifying:
         return meetings, tuple(refused)
 
     def _references(self, target: str) -> Mapping[str, Mapping[str, Floats]]:
-        """What the agents remember of what a target looks like."""
+        """References that the agents remember of a target's looks."""
         if not self.compiled.looks or self.rule.appearance <= 0.0:
             return {}
         references = self.targets[target].references
@@ -251,12 +251,12 @@ class Identifying:
         return rates.learn(d2, unseen[detected_rows], (hits, len(fresh)), free)
 
     def _advanced(
-        self, meeting: Meeting, expected: LiveTracks, seen: Detections, rates: SensorRates
+        self, meeting: Meeting, expected: LiveTracks, detections: Detections, rates: SensorRates
     ) -> Meeting:
-        """A meeting, predicted to this frame, after the frame's seen."""
+        """A meeting, predicted to this frame, after the frame's detections."""
         rows, members = expected.index, {*meeting.members}
-        spread = meeting.covariance[:, :, None, :4, :4] + seen.variances[:, None] * np.eye(4)
-        d2, _ = halves_of_d2(seen.boxes - meeting.mean[:, :, None, :4], spread)
+        spread = meeting.covariance[:, :, None, :4, :4] + detections.variances[:, None] * np.eye(4)
+        d2, _ = halves_of_d2(detections.boxes - meeting.mean[:, :, None, :4], spread)
         scale2 = rates.scale2[gap_class(meeting.unseen + 1)][..., 0]
         nearest = (d2[..., 0] / scale2[:, :, None]).min(axis=(0, 1), initial=np.inf)
         area = float(self.work.frame.width * self.work.frame.height)
@@ -267,18 +267,20 @@ class Identifying:
         for column in np.argsort(nearest, kind="stable").tolist():
             if nearest[column] > FAR_D2 / 2.0 or len(columns) == MOST_DETECTIONS:
                 break
-            owner = seen.owners[column]
+            owner = detections.owners[column]
             log = log_clutter
             if owner in rows and owner not in members:
                 row = rows[owner]
                 if expected.started[row] < meeting.since:
                     continue  # of a target that is close to none of them
-                log = max(log, seen.log_density(column, expected.mean[row], expected.covariance[row], rates))
+                log = max(
+                    log, detections.log_density(column, expected.mean[row], expected.covariance[row], rates)
+                )
             columns.append(column)
             log_else.append(log)
-        boxes = seen.boxes[columns]
+        boxes = detections.boxes[columns]
         looks = self._looks(meeting, boxes)
-        variances = seen.variances[columns] + spread_of_shared(meeting, boxes)
+        variances = detections.variances[columns] + spread_of_shared(meeting, boxes)
         return advance(meeting, Sighting(boxes, variances, looks, np.array(log_else)), rates)
 
     def _looks(self, meeting: Meeting, boxes: Floats) -> Floats:
@@ -289,16 +291,16 @@ class Identifying:
         if not (len(boxes) and live and rows):
             return looks
         agents = meeting.references[rows[0]]
-        several = {agent: [meeting.references[row][agent] for row in rows] for agent in agents}
+        memories = {agent: [meeting.references[row][agent] for row in rows] for agent in agents}
         # An ended member is asked about in the name of one that lives: only draws go by it.
         names = [name if name in live else live[0] for name in (meeting.members[row] for row in rows)]
         starts = np.arange(len(rows) + 1) * len(boxes)
-        log = score_looks(self.work, self.compiled, names, several, np.tile(boxes, (len(rows), 1)), starts)
+        log = score_looks(self.work, self.compiled, names, memories, np.tile(boxes, (len(rows), 1)), starts)
         looks[rows] = self.rule.appearance * log.reshape(len(rows), len(boxes))
         return looks
 
     def _placed(self, meeting: Meeting, live: LiveTracks, meetings: Sequence[Meeting]) -> Placing | None:
-        """Which member each track is: those of members that live, and those that began meanwhile."""
+        """The member that each track is: of members that live, and of tracks that began meanwhile."""
         rows = live.index
         tracks = [name for name in meeting.members if name in rows]
         if not tracks:
@@ -318,7 +320,7 @@ class Identifying:
     def _doubts(
         self, meeting: Meeting, placing: Placing, refused: Sequence[tuple[str, str]]
     ) -> list[IdentityDoubtful]:
-        """What the log says of a meeting that is settled."""
+        """Events of a meeting that is settled."""
         named, shares = placing.named(), placing.probability
         doubts: list[IdentityDoubtful] = []
         reported: set[tuple[str, str]] = set()
@@ -342,7 +344,7 @@ class Identifying:
                 if is_it
                 for name, name_of in zip(placing.tracks, names, strict=True)
             }
-            near = tuple(dict.fromkeys(name for name, member in refused if member in meeting.members))
+            nearby = tuple(dict.fromkeys(name for name, member in refused if member in meeting.members))
             doubts.append(
                 IdentityDoubtful(
                     self.work.frame.index,
@@ -354,7 +356,7 @@ class Identifying:
                     looks,
                     float(np.clip(nats - looks, -99.0, 99.0)),
                     mutual,
-                    near,
+                    nearby,
                 )
             )
         return doubts
@@ -419,22 +421,22 @@ def _close_pairs(
 def _recognised(
     events: Sequence[Event], entangled: Sequence[Entangled], live: Sequence[str]
 ) -> list[Entangled]:
-    """What re-identification leaves open, in the same form: a detection is a memory target, or new."""
+    """Cases that re-identification leaves open, in the same form: a detection is a memory target, or new."""
     open_ones: list[Entangled] = []
     handled = {track for group in entangled for track in group.tracks}
     for event in events:
         if isinstance(event, Returned | Reacquired):
-            recognition, own, rival = event.recognition, event.target, event.recognition.rival
+            recognition, name, rival = event.recognition, event.target, event.recognition.rival
         elif isinstance(event, CandidateConfirmed) and event.nearest is not None:
-            recognition, own, rival = event.nearest, event.target, event.nearest.target
+            recognition, name, rival = event.nearest, event.target, event.nearest.target
         else:
             continue
         if event.target in handled or event.target not in live:
             continue
-        share = recognition.probability if own == recognition.target else 1.0 - recognition.probability
-        rival_share = recognition.rival_probability if own == recognition.target else recognition.probability
+        share = recognition.probability if name == recognition.target else 1.0 - recognition.probability
+        rival_share = recognition.rival_probability if name == recognition.target else recognition.probability
         if share < SURE and rival_share > 0.0:
-            pairs = sorted(((share, (own,)), (rival_share, (rival,))), key=lambda pair: -pair[0])
+            pairs = sorted(((share, (name,)), (rival_share, (rival,))), key=lambda pair: -pair[0])
             total = share + rival_share
             names, shares = tuple(pair[1] for pair in pairs), tuple(pair[0] / total for pair in pairs)
             open_ones.append(Entangled((event.target,), names, shares))

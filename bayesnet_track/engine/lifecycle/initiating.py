@@ -67,8 +67,8 @@ def velocities(motion: MotionModel, means: Floats) -> Floats:
 def fast_covariance(motion: MotionModel, covariance: Floats, mean: Floats) -> Floats:
     """(..., D, D) covariances of starts at (..., D) with a velocity of sd `FOLLOW_BOX` sides a frame."""
     fast, sides2 = covariance.copy(), mean[..., 2] * mean[..., 3]
-    for at in (motion.fields.index(name) for name in VELOCITY):
-        fast[..., at, at] = np.maximum(fast[..., at, at], FOLLOW_BOX**2 * sides2)
+    for index in (motion.fields.index(name) for name in VELOCITY):
+        fast[..., index, index] = np.maximum(fast[..., index, index], FOLLOW_BOX**2 * sides2)
     return fast
 
 

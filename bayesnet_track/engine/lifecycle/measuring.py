@@ -60,7 +60,7 @@ def is_unscented(plate: CheckedTarget) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Expectation:
-    """What T targets are expected to be detected as.
+    """Expected detections of T targets.
 
     Attributes:
         values: (T, K) h of each.
@@ -107,7 +107,7 @@ class FunctionSensor:
 
     @property
     def log_scale(self) -> float:
-        """As of every sensor."""
+        """Log of (2 pi)^(-K / 2)."""
         return -0.5 * len(self.quantities) * LOG_TURN
 
     def at(self, frames: FramePair) -> FunctionSensor:
@@ -115,55 +115,55 @@ class FunctionSensor:
         return replace(self, seen=seen_by(self.quantities, self.functions, frames))
 
     def boxes(self, mean: Floats) -> Floats:
-        """As of every sensor."""
+        """The boxes of the states."""
         return mean[:, :4]
 
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
-        """What targets (T, D), (T, D, D) are expected to be detected as."""
-        by = expect_by_points if self.is_unscented else expect_by_slopes
-        return by(self._of, self._near, mean, covariance, np.diag(self.variances))
+        """Expected detections of targets (T, D), (T, D, D)."""
+        expect_moments = expect_by_points if self.is_unscented else expect_by_slopes
+        return expect_moments(self._of, self._near, mean, covariance, np.diag(self.variances))
 
-    def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
-        """As of every sensor: d^2 = v' S^-1 v, v the shorter way round of angles."""
+    def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
+        """Possible pairs: d^2 = v' S^-1 v, v the shorter way round of angles."""
         nothing = np.empty(0, np.int64)
-        if not len(mean) or not len(found.values):
+        if not len(mean) or not len(detections.values):
             return Pairs(nothing, nothing, np.empty(0))
-        d2, log_gains = self._distances(mean, covariance, found)
+        d2, log_gains = self._distances(mean, covariance, detections)
         limit = chi_square_quantile(self.association.gate, len(self.quantities))
         rows, columns = np.nonzero((d2 <= limit) & (d2 < np.inf))
         return Pairs(rows, columns, log_gains[rows, columns])
 
-    def log_gains(self, mean: Floats, covariance: Floats, found: Found) -> Floats:
-        """As of every sensor; -inf where h has no value."""
-        return self._distances(mean, covariance, found)[1]
+    def log_gains(self, mean: Floats, covariance: Floats, detections: Found) -> Floats:
+        """Log densities of all pairs; -inf where h has no value."""
+        return self._distances(mean, covariance, detections)[1]
 
-    def _distances(self, mean: Floats, covariance: Floats, found: Found) -> tuple[Floats, Floats]:
+    def _distances(self, mean: Floats, covariance: Floats, detections: Found) -> tuple[Floats, Floats]:
         """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where h has no value."""
         expected = self.expect(mean, covariance)
-        away = self._seen.less(found.values[None], expected.values[:, None])
+        offsets = self._seen.less(detections.values[None], expected.values[:, None])
         lower = np.linalg.cholesky(expected.spread)
-        scaled = np.linalg.solve(lower, np.swapaxes(away, 1, 2))
+        scaled = np.linalg.solve(lower, np.swapaxes(offsets, 1, 2))
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=1), np.inf)
         half = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
         return d2, -0.5 * d2 - half[:, None]
 
-    def mix(self, mean: Floats, covariance: Floats, found: Found, mixed: Mixed) -> None:
-        """As of every sensor: each choice gives the update of the extended or unscented filter."""
+    def mix(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> None:
+        """Update beliefs: each choice gives the update of the extended or unscented filter."""
         if not len(mixed.columns):
             return
         expected = self.expect(mean, covariance)
         for row in np.flatnonzero(np.diff(mixed.starts) > 0).tolist():
-            own = slice(mixed.starts[row], mixed.starts[row + 1])
+            pairs = slice(mixed.starts[row], mixed.starts[row + 1])
             if not expected.is_known[row]:
                 continue
             gain = np.linalg.solve(expected.spread[row], expected.cross[row].T).T
-            away = self._seen.less(found.values[mixed.columns[own]], expected.values[row])
-            shares, moves = mixed.weights[own], away @ gain.T
+            offsets = self._seen.less(detections.values[mixed.columns[pairs]], expected.values[row])
+            shares, moves = mixed.weights[pairs], offsets @ gain.T
             shift = shares @ moves
-            told = float(shares.sum())
+            total = float(shares.sum())
             between = (moves * shares[:, None]).T @ moves - np.outer(shift, shift)
             mean[row] += shift
-            covariance[row] = symmetric(covariance[row] - told * gain @ expected.cross[row].T + between)
+            covariance[row] = symmetric(covariance[row] - total * gain @ expected.cross[row].T + between)
         np.maximum(mean[:, 2:4], 1.0, out=mean[:, 2:4])
 
     def cover(self, mean: Floats, existence: Floats) -> Floats:
@@ -174,31 +174,33 @@ class FunctionSensor:
         """Sure: a sensor has no border."""
         return np.ones(len(mean))
 
-    def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
+    def near(
+        self, mean: Floats, existence: Floats, detections: Found, area_px2: float
+    ) -> tuple[Floats, float]:
         """Nothing has an extent here, so that no detection is on a target."""
-        return np.zeros(len(found.values)), 1.0
+        return np.zeros(len(detections.values)), 1.0
 
-    def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
+    def learn(self, detection_model: DetectionModel, detections: Found) -> DetectionModel:
         """Nothing."""
         return detection_model
 
-    def log_density(self, detection_model: DetectionModel, found: Found, area_px2: float) -> Floats:
+    def log_density(self, detection_model: DetectionModel, detections: Found, area_px2: float) -> Floats:
         """Uniform between the least and the largest values that the sensor gives."""
-        return np.full(len(found.values), -float(np.log(self.high - self.low).sum()))
+        return np.full(len(detections.values), -float(np.log(self.high - self.low).sum()))
 
-    def begin(self, motion: MotionModel, found: Found) -> Begun:
-        """Where h has the values measured, as surely as they say; other fields as every target starts with.
+    def begin(self, motion: MotionModel, detections: Found) -> Begun:
+        """States where h has the values measured, as surely as they say; other fields as of every start.
 
         The covariance is the inverse of H' R^-1 H, plus the inverse variances that fields start with which
         the detection does not place.
         """
         with np.errstate(all="ignore"):
-            return self._begin(motion, found)
+            return self._begin(motion, detections)
 
-    def _begin(self, motion: MotionModel, found: Found) -> Begun:
+    def _begin(self, motion: MotionModel, detections: Found) -> Begun:
         first, spread = motion.start_moments(np.array([0.0, 0.0, 1.0, 1.0]))
-        states = np.tile(first, (len(found.values), 1))
-        names = dict(zip(self.quantities, found.values.T, strict=True)) | dict(self.inverse.constants)
+        states = np.tile(first, (len(detections.values), 1))
+        names = dict(zip(self.quantities, detections.values.T, strict=True)) | dict(self.inverse.constants)
         terms, anchor = self.inverse.terms, self.inverse.anchor
         columns = [self.fields.index(name) for name in terms or ANCHORED]
         if terms:
@@ -208,22 +210,22 @@ class FunctionSensor:
             return Begun(np.empty(0, np.int64), states[:0], np.empty((0, *spread.shape)))
         else:
 
-            def at(places: Floats) -> Floats:
-                moved = np.tile(states, (len(places) // len(states), 1))
-                moved[:, columns] = places
-                return self._of(moved)
+            def measure_at(places: Floats) -> Floats:
+                shifted = np.tile(states, (len(places) // len(states), 1))
+                shifted[:, columns] = places
+                return self._of(shifted)
 
-            way = self._seen.less(found.values, anchor.values)
+            way = self._seen.less(detections.values, anchor.values)
             less, place = self._seen.less, anchor.place
-            states[:, columns] = follow(at, less, place, anchor.values, way, self.variances)
+            states[:, columns] = follow(measure_at, less, place, anchor.values, way, self.variances)
         means, spreads = start_moments_of_each(motion, states[:, :4])
-        others = [column for column in range(states.shape[1]) if column not in columns]
-        states[:, others] = means[:, others]
-        return self._spread(states, spreads, columns, found)
+        unplaced = [column for column in range(states.shape[1]) if column not in columns]
+        states[:, unplaced] = means[:, unplaced]
+        return self._spread(states, spreads, columns, detections)
 
-    def _spread(self, states: Floats, spread: Floats, columns: list[int], found: Found) -> Begun:
+    def _spread(self, states: Floats, spread: Floats, columns: list[int], detections: Found) -> Begun:
         expected = self._of(states)
-        slopes = derivatives(lambda near: self._near(near, expected), states)
+        slopes = derivatives(lambda points: self._near(points, expected), states)
         prior = np.diagonal(spread, axis1=1, axis2=2).copy()
         prior[:, columns] = math.inf
         free = np.flatnonzero(prior.max(axis=0) > 0.0)
@@ -235,13 +237,17 @@ class FunctionSensor:
         information[~usable] = np.eye(len(free))
         usable &= np.linalg.cond(information) < 1e14
         information[~usable] = np.eye(len(free))
-        own = np.linalg.inv(information)
-        away = self._seen.less(found.values, expected)
-        states[:, free] += np.einsum("nij,njk,nk->ni", own, weighted, np.where(usable[:, None], away, 0.0))
+        posterior = np.linalg.inv(information)
+        offsets = self._seen.less(detections.values, expected)
+        states[:, free] += np.einsum(
+            "nij,njk,nk->ni", posterior, weighted, np.where(usable[:, None], offsets, 0.0)
+        )
         covariance = np.zeros_like(spread)
-        covariance[np.ix_(np.arange(len(states)), free, free)] = (own + np.swapaxes(own, 1, 2)) / 2
-        which = np.flatnonzero(usable)
-        return Begun(which, states[which], covariance[which])
+        covariance[np.ix_(np.arange(len(states)), free, free)] = (
+            posterior + np.swapaxes(posterior, 1, 2)
+        ) / 2
+        indices = np.flatnonzero(usable)
+        return Begun(indices, states[indices], covariance[indices])
 
     @property
     def _seen(self) -> Seen:
@@ -255,8 +261,8 @@ class FunctionSensor:
     def _near(self, states: Floats, expected: Floats) -> Floats:
         """h of states (S * N, D), of angles near those expected of each of N."""
         values = self._of(states)
-        around = np.tile(expected, (len(values) // len(expected), 1))
-        return around + self._seen.less(values, around)
+        tiled = np.tile(expected, (len(values) // len(expected), 1))
+        return tiled + self._seen.less(values, tiled)
 
 
 Values = Callable[[Floats], Floats]
@@ -266,17 +272,21 @@ Near = Callable[[Floats, Floats], Floats]
 """(S * N, D) states, (N, K) values -> (S * N, K) values, of angles the turn that is near those given."""
 
 
-def expect_by_slopes(of: Values, near: Near, mean: Floats, covariance: Floats, noise: Floats) -> Expectation:
-    """What states N(mean, covariance) are expected to be seen as, by the derivative at the mean."""
+def expect_by_slopes(
+    measure: Values, measure_near: Near, mean: Floats, covariance: Floats, noise: Floats
+) -> Expectation:
+    """Expected detections of states N(mean, covariance), by the derivative at the mean."""
     with np.errstate(all="ignore"):
-        values = of(mean)
-        slopes = derivatives(lambda states: near(states, values), mean)
+        values = measure(mean)
+        slopes = derivatives(lambda states: measure_near(states, values), mean)
         cross = covariance @ np.swapaxes(slopes, 1, 2)
         spread = slopes @ cross + noise
     return _known(values, spread, cross)
 
 
-def expect_by_points(of: Values, near: Near, mean: Floats, covariance: Floats, noise: Floats) -> Expectation:
+def expect_by_points(
+    measure: Values, measure_near: Near, mean: Floats, covariance: Floats, noise: Floats
+) -> Expectation:
     """The same by sigma points."""
     count, size = mean.shape
     width = len(noise)
@@ -290,12 +300,12 @@ def expect_by_points(of: Values, near: Near, mean: Floats, covariance: Floats, n
             unit = sigma_points(rank, scale)
             weights = np.full(len(unit), 0.5 / scale)
             weights[0] = 1.0 - rank / scale
-            middle = of(mean[row][None])
-            at = near(mean[row] + unit @ lower.T, middle)
-            values[row] = weights @ at
-            away = (at - values[row]) * weights[:, None]
-            spread[row] = away.T @ (at - values[row]) + noise
-            cross[row] = lower @ (unit.T @ away)
+            middle = measure(mean[row][None])
+            points = measure_near(mean[row] + unit @ lower.T, middle)
+            values[row] = weights @ points
+            weighted = (points - values[row]) * weights[:, None]
+            spread[row] = weighted.T @ (points - values[row]) + noise
+            cross[row] = lower @ (unit.T @ weighted)
     return _known(values, spread, cross)
 
 

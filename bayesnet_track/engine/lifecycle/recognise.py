@@ -88,7 +88,7 @@ class Match:
 
 
 def weigh_places(
-    known: Sequence[AppearanceMemory],
+    memories: Sequence[AppearanceMemory],
     motion: Confined,
     boxes: Floats,
     time: float,
@@ -96,8 +96,8 @@ def weigh_places(
     rule: Reidentify,
 ) -> tuple[Floats, Floats, Floats]:
     """(K,) log g, (K, M) log(A p_k) and (K, M) distances in px of centre boxes (M, 4) at `time`."""
-    dt = np.maximum(time - np.array([one.time for one in known]), 1e-9)
-    mean, spread = _expect_places(known, motion, dt)
+    dt = np.maximum(time - np.array([memory.time for memory in memories]), 1e-9)
+    mean, spread = _expect_places(memories, motion, dt)
     d = boxes[:, :2] - mean[:, None]
     variances = DETECTOR_SD**2 * boxes[:, 2] * boxes[:, 3]
     covariance = spread[:, None] + variances[:, None, None] * np.eye(2)
@@ -109,20 +109,25 @@ def weigh_places(
     return fading, np.asarray(place), np.hypot(d[..., 0], d[..., 1])
 
 
-def _expect_places(known: Sequence[AppearanceMemory], motion: Confined, dt: Floats) -> tuple[Floats, Floats]:
+def _expect_places(
+    memories: Sequence[AppearanceMemory], motion: Confined, dt: Floats
+) -> tuple[Floats, Floats]:
     """(K, 2) means and (K, 2, 2) covariances of centres after `dt` (K,) frame intervals."""
-    means, free = np.array([one.mean for one in known]), motion.motion
-    different, at = np.unique(dt, return_inverse=True)
+    means, free = np.array([memory.mean for memory in memories]), motion.motion
+    different, index = np.unique(dt, return_inverse=True)
     if isinstance(free, KinematicMotion) and linear_moves(free, float(dt[0])) is not None:
         moves = [linear_moves(free, step) or free.linearise(means[0], step) for step in different.tolist()]
-        transition, noise = (np.array(parts)[at] for parts in zip(*moves, strict=True))
+        transition, noise = (np.array(parts)[index] for parts in zip(*moves, strict=True))
         places = motion.confine(np.einsum("kij,kj->ki", transition, means))
     else:
         pairs = [*zip(means, dt.tolist(), strict=True)]
         moves = [motion.linearise(mean, step) for mean, step in pairs]
         transition, noise = (np.array(parts) for parts in zip(*moves, strict=True))
         places = np.array([motion.drift(mean[None], step)[0] for mean, step in pairs])
-    spread = transition @ np.array([one.covariance for one in known]) @ transition.transpose(0, 2, 1) + noise
+    spread = (
+        transition @ np.array([memory.covariance for memory in memories]) @ transition.transpose(0, 2, 1)
+        + noise
+    )
     return places[:, :2], spread[:, :2, :2]
 
 
@@ -141,12 +146,12 @@ def weigh_appearance(boxes: Floats, log_l: Floats, groups: Sequence[tuple[Floats
     for k, box in enumerate(boxes):
         means = []
         for places, values in groups:
-            apart = overlap(box, places) <= TOUCHES
-            if apart.any():
-                means.append(_log_mean(values[apart]))
-        alike = [math.log(LOOKALIKE)] if means else [0.0]
-        rest = [math.log1p(-LOOKALIKE) + _log_mean(np.array(means))] if means else []
-        result[k] = log_l[k] - np.logaddexp.reduce([*alike, *rest])
+            is_apart = overlap(box, places) <= TOUCHES
+            if is_apart.any():
+                means.append(_log_mean(values[is_apart]))
+        lookalikes = [math.log(LOOKALIKE)] if means else [0.0]
+        elsewhere = [math.log1p(-LOOKALIKE) + _log_mean(np.array(means))] if means else []
+        result[k] = log_l[k] - np.logaddexp.reduce([*lookalikes, *elsewhere])
     return result
 
 
@@ -166,45 +171,45 @@ def match(compared: Compared, rule: Reidentify) -> tuple[Match, ...]:
         i, j = divmod(int(np.argmax(np.where(np.isfinite(left), left, -np.inf))), len(columns))
         shares = np.exp(left[:, j] - np.logaddexp(0.0, np.logaddexp.reduce(left[:, j])))
         k, m = rows[i], columns[j]
-        one = Match(m, _recognition(compared, rows, shares, i, m, rule))
+        best_match = Match(m, _recognition(compared, rows, shares, i, m, rule))
         columns.remove(m)
-        if _is_contested(odds, k, columns, one):
-            one = replace(one, recognition=replace(one.recognition, contested=True))
-        matches.append(one)
+        if _is_contested(odds, k, columns, best_match):
+            best_match = replace(best_match, recognition=replace(best_match.recognition, contested=True))
+        matches.append(best_match)
         if matches[-1].is_sure:
             rows.remove(k)
     return tuple(matches)
 
 
-def _is_contested(odds: Floats, k: int, others: Sequence[int], match: Match) -> bool:
+def _is_contested(odds: Floats, k: int, columns: Sequence[int], match: Match) -> bool:
     """True if another pair has a say in what would have become of this one at another `min_probability`.
 
     At a lower one, a detection with better odds may take the target first. At a higher one, targets may be
-    left that were taken before, or one of the `others`, the detections left, may take target k.
+    left that were taken before, or one of the `columns`, the detections left, may take target k.
     """
     m = match.detection
     if not match.is_sure:
         return int(np.argmax(odds[k])) != m
-    found = match.recognition.probability
+    share = match.recognition.probability
     among_all = math.exp(odds[k, m] - np.logaddexp(0.0, np.logaddexp.reduce(odds[:, m])))
-    is_freed = found - among_all > 0.1 * min(found, 1.0 - found) + 1e-9
-    rivals = odds[k, list(others)]
-    return is_freed or bool((np.exp(rivals - np.logaddexp(0.0, rivals)) > found).any())
+    is_freed = share - among_all > 0.1 * min(share, 1.0 - share) + 1e-9
+    rivals = odds[k, list(columns)]
+    return is_freed or bool((np.exp(rivals - np.logaddexp(0.0, rivals)) > share).any())
 
 
 def _recognition(
-    compared: Compared, rows: Sequence[int], shares: Floats, best: int, m: int, rule: Reidentify
+    compared: Compared, rows: Sequence[int], shares: Floats, index: int, m: int, rule: Reidentify
 ) -> Recognition:
-    k = rows[best]
+    k = rows[index]
     rival, rival_probability = "new", max(0.0, 1.0 - float(shares.sum()))
-    others = np.delete(shares, best)
-    if len(others) and others.max() >= rival_probability:
-        second = int(others.argmax())
-        rival_probability = float(others[second])
-        rival = compared.targets[rows[second + (second >= best)]]
+    remaining = np.delete(shares, index)
+    if len(remaining) and remaining.max() >= rival_probability:
+        second = int(remaining.argmax())
+        rival_probability = float(remaining[second])
+        rival = compared.targets[rows[second + (second >= index)]]
     return Recognition(
         target=compared.targets[k],
-        probability=float(shares[best]),
+        probability=float(shares[index]),
         min_probability=rule.min_probability,
         away=float(compared.away[k]),
         distance_px=float(compared.distance_px[k, m]),

@@ -160,8 +160,8 @@ def _refuse(
     for k, (row, column) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
         refusal = earlier.get(unmatched.names[row])
         if refusal is not None:
-            away = math.dist(_box(unmatched.boxes[column])[:2], _box(unmatched.mean[row])[:2])
-            if away >= NEARER * refusal.distance_px:
+            offset_px = math.dist(_box(unmatched.boxes[column])[:2], _box(unmatched.mean[row])[:2])
+            if offset_px >= NEARER * refusal.distance_px:
                 continue
         closer.append(k)
     pairs = rows[closer], columns[closer]

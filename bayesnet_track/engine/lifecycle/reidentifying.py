@@ -27,46 +27,48 @@ def compare(
     plate: str,
     rule: Reidentify,
     boxes: Floats,
-    others: Floats,
-    known: Sequence[AppearanceMemory],
+    objects: Floats,
+    memories: Sequence[AppearanceMemory],
 ) -> Compared:
-    """Remembered targets against detections (M, 4); `others` (K, 4) are boxes of objects in this frame."""
+    """Remembered targets against detections (M, 4); `objects` (K, 4) are boxes of objects in this frame."""
     compiled, frame = work.engine.plates[plate], work.frame
     motion = confined(compiled.moments, frame.width, frame.height, work.inputs)
     area = float(frame.width * frame.height)
-    fading, place, distance = weigh_places(known, motion, boxes, frame.time, area, rule)
-    appearance, agents = np.zeros(place.shape), list[tuple[str, ...]]([()] * len(known))
+    fading, place, distance = weigh_places(memories, motion, boxes, frame.time, area, rule)
+    appearance, agents = np.zeros(place.shape), list[tuple[str, ...]]([()] * len(memories))
     if compiled.looks:
-        looks = [_compare_looks(work, compiled, boxes, others, one) for one in known]
-        appearance, agents = np.array([log for log, _ in looks]), [asked for _, asked in looks]
-    away = frame.time - np.array([one.time for one in known])
-    return Compared([one.target for one in known], away, distance, fading, place, appearance, agents)
+        looks = [_compare_looks(work, compiled, boxes, objects, memory) for memory in memories]
+        appearance, agents = np.array([log for log, _ in looks]), [askable for _, askable in looks]
+    absences = frame.time - np.array([memory.time for memory in memories])
+    return Compared(
+        [memory.target for memory in memories], absences, distance, fading, place, appearance, agents
+    )
 
 
 def _compare_looks(
-    work: FrameContext, compiled: CompiledPlate, boxes: Floats, others: Floats, known: AppearanceMemory
+    work: FrameContext, compiled: CompiledPlate, boxes: Floats, objects: Floats, memory: AppearanceMemory
 ) -> tuple[Floats, tuple[str, ...]]:
     """(M,) log r_k of detections by all agents that know the looks of one target, and these."""
     frame = work.frame
-    agents = tuple(agent for agent in compiled.plate.agents if agent in compiled.looks & {*known.references})
+    agents = tuple(agent for agent in compiled.plate.agents if agent in compiled.looks & {*memory.references})
     if not frame.has_color:
         agents = tuple(agent for agent in agents if agent not in compiled.color_agents)
     if not agents:
         return np.zeros(len(boxes)), ()
-    stream = work.stream_of(known.birth, compiled.plate.root)
+    stream = work.stream_of(memory.birth, compiled.plate.root)
     random = draw_elsewhere(boxes, frame.width, frame.height, stream("elsewhere"))
     observer = Observer(
         work.cache,
         compiled.cues,
-        known.references,
-        lambda what: stream(f"recall {what}"),
-        availability=work.availability_of(known.target, "recalling"),
+        memory.references,
+        lambda purpose: stream(f"recall {purpose}"),
+        availability=work.availability_of(memory.target, "recalling"),
     )
-    states = np.concatenate([boxes, random, others])
+    states = np.concatenate([boxes, random, objects])
     prior = np.full(len(states), -np.log(len(states)))
     plan = replace(plan_for(compiled, frozenset(agents)), factors=())
     evidence = evaluate(plan, observer, Hypotheses(states), prior)
     values = np.clip(evidence.log_likelihood, LEAST_LOG, None)
-    own, there, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])
-    appearance = weigh_appearance(boxes, own, [(random, there), (others, theirs)])
+    on_boxes, at_random, theirs = np.split(values, [len(boxes), len(boxes) + len(random)])
+    appearance = weigh_appearance(boxes, on_boxes, [(random, at_random), (objects, theirs)])
     return appearance, tuple(agent for agent in agents if agent in observer.answered)

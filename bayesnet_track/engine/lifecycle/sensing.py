@@ -34,7 +34,7 @@ LOG_TURN = math.log(2.0 * math.pi)
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What one plate is given of a look, the best first.
+    """Detections of a look that one plate is given, the best first.
 
     Attributes:
         values: (N, K) what was measured: centre boxes x, y, w, h, else a column for each quantity.
@@ -58,10 +58,10 @@ class Found:
         """Nothing, of so many values."""
         return cls(np.empty((0, width)), np.empty(0), np.empty(0, np.int64))
 
-    def only(self, which: NDArray[np.bool_] | Ints) -> Found:
+    def only(self, selection: NDArray[np.bool_] | Ints) -> Found:
         """Some of them."""
-        labels = tuple(np.array(self.labels, dtype=object)[which]) if self.labels else ()
-        return Found(self.values[which], self.scores[which], self.numbers[which], labels)
+        labels = tuple(np.array(self.labels, dtype=object)[selection]) if self.labels else ()
+        return Found(self.values[selection], self.scores[selection], self.numbers[selection], labels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Begun:
 
 @dataclass(frozen=True, eq=False)
 class Mixed:
-    """Which of the detections may be whose, for an update.
+    """Pairs of targets and detections with their weights, for an update.
 
     Attributes:
         starts: (T + 1,) where the detections of each begin in the next two.
@@ -97,7 +97,7 @@ class Mixed:
 
 
 class Sensor(Protocol):
-    """What association needs of a detector or another sensor."""
+    """Interface of detectors and other sensors for association."""
 
     @property
     def association(self) -> AssociationRule:
@@ -105,22 +105,22 @@ class Sensor(Protocol):
 
     @property
     def log_scale(self) -> float:
-        """What the log densities of `gate` lack: that of (2 pi)^(-K / 2)."""
+        """The term that the log densities of `gate` lack: log of (2 pi)^(-K / 2)."""
 
     @property
     def has_extent(self) -> bool:
-        """Whether detections have a size, which says how far a target may move."""
+        """True where detections have a size, which says how far a target may move."""
 
     def at(self, frames: FramePair) -> Sensor:
         """The sensor in these frames."""
 
-    def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
-        """Which detections may be whose, with -d^2 / 2 - log det S / 2; means (T, D) and (T, D, D)."""
+    def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
+        """Possible pairs, with -d^2 / 2 - log det S / 2; of means (T, D) and covariances (T, D, D)."""
 
-    def log_gains(self, mean: Floats, covariance: Floats, found: Found) -> Floats:
+    def log_gains(self, mean: Floats, covariance: Floats, detections: Found) -> Floats:
         """(T, N) -d^2 / 2 - log det S / 2 of all pairs."""
 
-    def mix(self, mean: Floats, covariance: Floats, found: Found, mixed: Mixed) -> None:
+    def mix(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> None:
         """Update beliefs (T, D), (T, D, D), in place, to the moments of the mixture of their updates."""
 
     def cover(self, mean: Floats, existence: Floats) -> Floats:
@@ -129,16 +129,18 @@ class Sensor(Protocol):
     def in_image(self, mean: Floats, covariance: Floats) -> Floats:
         """(T,) probability that each is in what the sensor looks at."""
 
-    def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
+    def near(
+        self, mean: Floats, existence: Floats, detections: Found, area_px2: float
+    ) -> tuple[Floats, float]:
         """(N,) how probably a target covers each detection, and the share of the frame that is on targets."""
 
-    def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
-        """What is learnt of detections as such."""
+    def learn(self, detection_model: DetectionModel, detections: Found) -> DetectionModel:
+        """Learn of detections as such."""
 
-    def log_density(self, detection_model: DetectionModel, found: Found, area_px2: float) -> Floats:
+    def log_density(self, detection_model: DetectionModel, detections: Found, area_px2: float) -> Floats:
         """(N,) log density of detections that are nobody's, in a frame of this area."""
 
-    def begin(self, motion: MotionModel, found: Found) -> Begun:
+    def begin(self, motion: MotionModel, detections: Found) -> Begun:
         """The states that detections start with."""
 
     def boxes(self, mean: Floats) -> Floats:
@@ -162,26 +164,26 @@ class BoxSensor:
         return self
 
     def boxes(self, mean: Floats) -> Floats:
-        """As of every sensor: those of the states."""
+        """The boxes of the states."""
         return mean[:, :4]
 
-    def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
-        """As of every sensor; boxes that overlap the prediction by less than `min_overlap` are out, too."""
-        return gate_boxes(self.association, mean, covariance, found.values)
+    def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
+        """Possible pairs; boxes that overlap the prediction by less than `min_overlap` are out, too."""
+        return gate_boxes(self.association, mean, covariance, detections.values)
 
-    def log_gains(self, mean: Floats, covariance: Floats, found: Found) -> Floats:
-        """As of every sensor."""
-        noise = self.association.variances(found.values)[:, :, None] * np.eye(4)
+    def log_gains(self, mean: Floats, covariance: Floats, detections: Found) -> Floats:
+        """Log densities of all pairs, as of every sensor."""
+        noise = self.association.variances(detections.values)[:, :, None] * np.eye(4)
         spread = covariance[:, None, :4, :4] + noise
-        away = found.values - mean[:, None, :4]
-        d2 = np.einsum("tni,tni->tn", away, np.linalg.solve(spread, away[..., None])[..., 0])
+        offsets = detections.values - mean[:, None, :4]
+        d2 = np.einsum("tni,tni->tn", offsets, np.linalg.solve(spread, offsets[..., None])[..., 0])
         return np.asarray(-0.5 * (d2 + np.linalg.slogdet(spread)[1]))
 
-    def mix(self, mean: Floats, covariance: Floats, found: Found, mixed: Mixed) -> None:
-        """As of every sensor; sides stay at least 1 px."""
+    def mix(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> None:
+        """Update beliefs, as of every sensor; sides stay at least 1 px."""
         from bayesnet_track.numerics.kernels.pair_kernels import mix_rows
 
-        boxes = np.ascontiguousarray(found.values[mixed.columns])
+        boxes = np.ascontiguousarray(detections.values[mixed.columns])
         variances = self.association.variances(boxes)
         mix_rows(mean, covariance, mixed.starts, boxes, variances, mixed.weights, mixed.missed)
 
@@ -196,37 +198,39 @@ class BoxSensor:
         """Sure: motions keep targets inside."""
         return np.ones(len(mean))
 
-    def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
+    def near(
+        self, mean: Floats, existence: Floats, detections: Found, area_px2: float
+    ) -> tuple[Floats, float]:
         """By the share of the detection that a predicted box covers."""
-        return near_boxes(mean[:, :4], existence, found.values, area_px2)
+        return near_boxes(mean[:, :4], existence, detections.values, area_px2)
 
-    def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
+    def learn(self, detection_model: DetectionModel, detections: Found) -> DetectionModel:
         """The sizes that detections have."""
-        return detection_model.with_sizes(found.values)
+        return detection_model.with_sizes(detections.values)
 
-    def log_density(self, detection_model: DetectionModel, found: Found, area_px2: float) -> Floats:
+    def log_density(self, detection_model: DetectionModel, detections: Found, area_px2: float) -> Floats:
         """Uniform over the frame, of the sizes that detections have."""
-        return detection_model.log_density(found.values, area_px2)
+        return detection_model.log_density(detections.values, area_px2)
 
-    def begin(self, motion: MotionModel, found: Found) -> Begun:
+    def begin(self, motion: MotionModel, detections: Found) -> Begun:
         """The box itself, with the detection's error."""
-        boxes = found.values
+        boxes = detections.values
         mean, covariance = start_moments_of_each(motion, boxes)
         diagonal = np.arange(4)
         covariance[:, diagonal, diagonal] += self.association.variances(boxes)
         return Begun(np.arange(len(boxes)), mean, covariance)
 
 
-def near_boxes(boxes: Floats, existence: Floats, found: Floats, area_px2: float) -> tuple[Floats, float]:
+def near_boxes(boxes: Floats, existence: Floats, detected: Floats, area_px2: float) -> tuple[Floats, float]:
     """(N,) how probably a box (T, 4) covers each of those found (N, 4), and the area's share on boxes."""
     from bayesnet_track.numerics.kernels.pair_kernels import cover_rows
 
-    count, nothing = len(boxes), np.zeros(len(found))
-    if not count or not len(found):
+    count, nothing = len(boxes), np.zeros(len(detected))
+    if not count or not len(detected):
         return nothing, 1.0
-    both = np.concatenate([boxes, found])
-    order = np.argsort(both[:, 0] - both[:, 2] / 2, kind="stable")
-    cover = cover_rows(both, np.concatenate([existence, nothing]), order, COVERED)[count:]
+    all_boxes = np.concatenate([boxes, detected])
+    order = np.argsort(all_boxes[:, 0] - all_boxes[:, 2] / 2, kind="stable")
+    cover = cover_rows(all_boxes, np.concatenate([existence, nothing]), order, COVERED)[count:]
     return cover, min(float(existence @ (boxes[:, 2] * boxes[:, 3])) / area_px2, 1.0)
 
 
@@ -245,8 +249,8 @@ def gate_boxes(rule: AssociationRule, mean: Floats, covariance: Floats, boxes: F
         touches = (mean[:, 2] + boxes[:, 2].max()) / 2
         return np.asarray(np.minimum(reach, touches) if min_overlap > 0.0 else reach)
 
-    near = near_along_x(mean[:, 0], boxes, find_reach)
-    return Pairs(*gate_rows(mean, covariance, boxes, variances, *near, limit, min_overlap))
+    neighbours = near_along_x(mean[:, 0], boxes, find_reach)
+    return Pairs(*gate_rows(mean, covariance, boxes, variances, *neighbours, limit, min_overlap))
 
 
 def with_looks(

@@ -30,7 +30,7 @@ MOST_STEPS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Predict:
-    """How beliefs are predicted.
+    """Prediction of beliefs.
 
     Attributes:
         elapsed: frame intervals from the last frame to this one.
@@ -83,13 +83,13 @@ def _moves(rule: RowRule, dt: float) -> tuple[Floats, Floats]:
 def _predict_each(
     motion: MotionModel, means: Floats, covariances: Floats, dt: float
 ) -> tuple[Floats, Floats]:
-    moved = [
+    moments = [
         predict(mean, covariance, motion, dt, Gaussian())
         for mean, covariance in zip(means, covariances, strict=True)
     ]
     return (
-        np.array([mean for mean, _ in moved]).reshape(means.shape),
-        np.array([covariance for _, covariance in moved]).reshape(covariances.shape),
+        np.array([mean for mean, _ in moments]).reshape(means.shape),
+        np.array([covariance for _, covariance in moments]).reshape(covariances.shape),
     )
 
 
@@ -112,9 +112,9 @@ class Tracks:
         if not candidates:
             return self
         return Tracks(
-            np.concatenate([self.mean, np.array([one.mean for one in candidates])]),
-            np.concatenate([self.covariance, np.array([one.covariance for one in candidates])]),
-            np.concatenate([self.observed, np.array([one.observed for one in candidates])]),
+            np.concatenate([self.mean, np.array([candidate.mean for candidate in candidates])]),
+            np.concatenate([self.covariance, np.array([candidate.covariance for candidate in candidates])]),
+            np.concatenate([self.observed, np.array([candidate.observed for candidate in candidates])]),
         )
 
     def only(self, rows: slice) -> Tracks:
@@ -124,13 +124,18 @@ class Tracks:
 
 def own_detections(owner: Owners, boxes: Floats, scores: Floats) -> Floats:
     """(T, 5) the detection that each was given, centre box and score; 0 where none was."""
-    own, is_given = np.zeros((len(owner), 5)), owner != UNASSIGNED
-    own[is_given, :4], own[is_given, 4] = boxes[owner[is_given]], scores[owner[is_given]]
-    return own
+    assigned, is_given = np.zeros((len(owner), 5)), owner != UNASSIGNED
+    assigned[is_given, :4], assigned[is_given, 4] = boxes[owner[is_given]], scores[owner[is_given]]
+    return assigned
 
 
 def follow(
-    rule: AssociationRule, before: Tracks, expected: Tracks, owner: Owners, own: Floats, predict: Predict
+    rule: AssociationRule,
+    previous: Tracks,
+    expected: Tracks,
+    owner: Owners,
+    assigned: Floats,
+    predict: Predict,
 ) -> tuple[Tracks, dict[int, tuple[Floats, Floats]]]:
     """Expectations after detections were given, and the beliefs of the frame before that changed, by row.
 
@@ -138,16 +143,18 @@ def follow(
     remembered of detections is brought up to this frame.
     """
     is_given = owner != UNASSIGNED
-    changed: dict[int, tuple[Floats, Floats]] = {}
+    refiltered: dict[int, tuple[Floats, Floats]] = {}
     mean, covariance = expected.mean, expected.covariance
     if rule.re_update:
-        for row in np.flatnonzero(is_given & (before.observed[:, GAP] > 0)).tolist():
-            changed[row] = re_update(rule, before.observed[row], own[row, :4], before.mean.shape[1], predict)
-            now = predict(changed[row][0][None], changed[row][1][None])
-            mean[row], covariance[row] = now[0][0], now[1][0]
-    moments = before.mean, before.covariance
-    observed = observe(rule, before.observed, moments, own[:, :4], is_given, predict.elapsed)
-    return Tracks(mean, covariance, observed), changed
+        for row in np.flatnonzero(is_given & (previous.observed[:, GAP] > 0)).tolist():
+            refiltered[row] = re_update(
+                rule, previous.observed[row], assigned[row, :4], previous.mean.shape[1], predict
+            )
+            predicted = predict(refiltered[row][0][None], refiltered[row][1][None])
+            mean[row], covariance[row] = predicted[0][0], predicted[1][0]
+    moments = previous.mean, previous.covariance
+    observed = observe(rule, previous.observed, moments, assigned[:, :4], is_given, predict.elapsed)
+    return Tracks(mean, covariance, observed), refiltered
 
 
 def re_update(
@@ -162,13 +169,13 @@ def re_update(
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.row_kernels import correct_row
 
-    layout, gap, last = Layout.of(rule, size), float(observed[GAP]), observed[LAST]
+    layout, gap, last_box = Layout.of(rule, size), float(observed[GAP]), observed[LAST]
     steps = int(min(max(round(gap), 1), MOST_STEPS))
     mean, covariance = observed[layout.mean], observed[layout.covariance].reshape(size, size)
     for step in range(1, steps + 1):
         means, covariances = predict.over(mean[None], covariance[None], gap / steps)
         mean, covariance = means[0], covariances[0]
-        virtual = last + (box - last) * (step * (gap / steps) / (gap + predict.elapsed))
+        virtual = last_box + (box - last_box) * (step * (gap / steps) / (gap + predict.elapsed))
         correct_row(mean, covariance, virtual - mean[:4], rule.variances(virtual), np.empty((3, size, size)))
         np.maximum(mean[2:4], 1.0, out=mean[2:4])
     return mean, covariance
@@ -184,27 +191,37 @@ def start_tentative(
 
 
 def update_tentative(
-    candidates: Sequence[Candidate], after: Tracks, own: Floats, variances: Floats, confirm: Confirm | None
+    candidates: Sequence[Candidate],
+    updated: Tracks,
+    assigned: Floats,
+    variances: Floats,
+    confirm: Confirm | None,
 ) -> tuple[Candidate, ...]:
-    """Tentative tracks after a frame: those given a detection in `own` (C, 5) are updated by it.
+    """Tentative tracks after a frame: those given a detection in `assigned` (C, 5) are updated by it.
 
     Without `confirm` nobody looked. Others go on as predicted; those given up are left out.
     """
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.row_kernels import correct_row
 
-    left = []
-    for row, one in enumerate(candidates):
-        mean, covariance, size = after.mean[row].copy(), after.covariance[row].copy(), after.mean.shape[1]
-        is_given = bool(own[row, 2] > 0)
+    survivors = []
+    for row, candidate in enumerate(candidates):
+        mean, covariance, size = (
+            updated.mean[row].copy(),
+            updated.covariance[row].copy(),
+            updated.mean.shape[1],
+        )
+        is_given = bool(assigned[row, 2] > 0)
         if is_given:
             work = np.empty((3, size, size))
-            correct_row(mean, covariance, own[row, :4] - mean[:4], variances[row], work)
+            correct_row(mean, covariance, assigned[row, :4] - mean[:4], variances[row], work)
             np.maximum(mean[2:4], 1.0, out=mean[2:4])
-        kept: Candidate | None = one
+        survivor: Candidate | None = candidate
         if confirm is not None:
-            box, score = (own[row, :4], float(own[row, 4])) if is_given else (None, None)
-            kept = look_again(one, box, score, confirm)
-        if kept is not None:
-            left.append(replace(kept, mean=mean, covariance=covariance, observed=after.observed[row].copy()))
-    return tuple(left)
+            box, score = (assigned[row, :4], float(assigned[row, 4])) if is_given else (None, None)
+            survivor = look_again(candidate, box, score, confirm)
+        if survivor is not None:
+            survivors.append(
+                replace(survivor, mean=mean, covariance=covariance, observed=updated.observed[row].copy())
+            )
+    return tuple(survivors)

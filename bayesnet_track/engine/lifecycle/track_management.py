@@ -30,7 +30,7 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
     `associated` holds what the detectors found, and whose it is, where they looked before targets were
     weighed.
     """
-    frame, plates, started = work.frame, work.engine.plates, work.engine.clock()
+    frame, plates, start = work.frame, work.engine.plates, work.engine.clock()
     rules = {
         plate: compiled.lifecycle for plate, compiled in plates.items() if compiled.lifecycle is not None
     }
@@ -38,10 +38,10 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
         return outcome
     tracks = LiveTable.of(work.engine, outcome)
     if associated is None:
-        found, tracks.history, looked_by = look(work, tracks.history, tracks.boxes, tracks.held)
+        detections, tracks.history, looked_by = look(work, tracks.history, tracks.boxes, tracks.held)
         events: tuple[Event, ...] = looked_by
     else:
-        found, events = associated.found, associated.events
+        detections, events = associated.found, associated.events
         looked = associated.history
         tracks.history = evolve(
             tracks.history,
@@ -52,33 +52,33 @@ def manage_tracks(work: FrameContext, outcome: Outcome, associated: Associated |
             refusals=looked.refusals,
             watches=looked.watches,
         )
-    looks = {plate: _is_looked(rule, plates[plate], plate in found) for plate, rule in rules.items()}
+    looks = {plate: _is_looked(rule, plates[plate], plate in detections) for plate, rule in rules.items()}
     tracks.count(looks, frame)
     tracks.events += events
     for plate, rule in rules.items():
         if rule.birth is None:
             continue
-        now = Births(work, tracks, plate, rule, rule.birth)
+        births = Births(work, tracks, plate, rule, rule.birth)
         owners = None if associated is None else associated.owners.get(plate)
         if plates[plate].plate.inverses or not plates[plate].has_one_image:
             # Detections are no boxes in one image, which could be compared with others.
             if associated is None:
-                tracks.history, owners = associate_new(work, plate, tracks.history, found), ()
-            give_birth_by_existence(now, Found.none(), owners)
-        elif plate in found:
+                tracks.history, owners = associate_new(work, plate, tracks.history, detections), ()
+            give_birth_by_existence(births, Found.none(), owners)
+        elif plate in detections:
             give = give_birth if rule.existence is None else give_birth_by_existence
-            (seen,) = found[plate].values()
-            give(now, seen, owners)
+            (answer,) = detections[plate].values()
+            give(births, answer, owners)
     for plate, rule in rules.items():
         end_duplicates(tracks, plate, rule, frame)
         end_lost(tracks, plate, rule, frame)
     happened = (*outcome.events, *tracks.events)
     tracks.history, refused = report_refusals(tracks.history, frame.index, happened, tracks.net.targets)
     tracks.events += refused
-    work.charge("life", started)
+    work.charge("life", start)
     return evolve(tracks.outcome(outcome, frame), seconds=work.seconds)
 
 
-def _is_looked(rule: LifeRules, compiled: CompiledPlate, found: bool) -> bool:
-    """Whether targets of a plate that claim no detection in the frame are unseen: somebody looked."""
-    return found or rule.birth is None or bool(compiled.plate.inverses)
+def _is_looked(rule: LifeRules, compiled: CompiledPlate, has_looked: bool) -> bool:
+    """True where targets of a plate that claim no detection in the frame are unseen: somebody looked."""
+    return has_looked or rule.birth is None or bool(compiled.plate.inverses)

@@ -63,7 +63,7 @@ class LiveTable:
 
     @classmethod
     def of(cls, engine: Engine, outcome: Outcome) -> LiveTable:
-        """That of a frame's outcome."""
+        """Table of a frame's outcome."""
         state, targets = outcome.state, Targets.of(outcome.state.targets)
         records = state.history.records
         return cls(
@@ -92,8 +92,8 @@ class LiveTable:
             if plate in plates:
                 self.tables[plate] = rows.counted(frame.index, frame.time, plates[plate])
             if is_new.any():  # the numbers of those that a table did not count before
-                new = (rows.ids[row] for row in np.flatnonzero(is_new).tolist())
-                numbers += [int(target) for target in new if target.isdecimal()]
+                targets = (rows.ids[row] for row in np.flatnonzero(is_new).tolist())
+                numbers += [int(target) for target in targets if target.isdecimal()]
         records = {}
         for target, state in self.states.items():
             if target.isdecimal():
@@ -103,9 +103,9 @@ class LiveTable:
             lost = self.net.targets[target].status == "lost"
             record = self.records.get(target)
             if record is None or not (lost or state.memory.count(LOST)):
-                since = frame.index if record is None else record.since
+                start = frame.index if record is None else record.since
                 unseen = 0 if record is None else record.unseen_frames
-                record = TrackRecord(since, *moments_of(state.belief), frame.time, 0, unseen)
+                record = TrackRecord(start, *moments_of(state.belief), frame.time, 0, unseen)
             records[target] = replace(
                 record,
                 lost_frames=record.lost_frames + 1 if lost else 0,
@@ -116,14 +116,14 @@ class LiveTable:
             self.history = evolve(self.history, last_id=max([self.history.last_id, *numbers]))
 
     def state(self, target: str) -> TargetState:
-        """What is known of a target."""
+        """State of a target."""
         if target in self.states:
             return self.states[target]
         rows = self._table_of(target)
         return rows.state(rows.index[target])
 
     def record(self, target: str) -> TrackRecord:
-        """What is counted of a target."""
+        """Counts of a target."""
         if target in self.records:
             return self.records[target]
         rows = self._table_of(target)
@@ -144,7 +144,7 @@ class LiveTable:
         return kinds_of(belief, self.engine.plates[plate].modes)
 
     def references(self, target: str) -> Mapping[str, Reference]:
-        """What the agents remember of a target."""
+        """References that the agents remember of a target."""
         if target in self.states:
             return self.states[target].references
         rows = self._table_of(target)
@@ -180,19 +180,19 @@ class LiveTable:
 
     def of_plate(self, plate: str) -> list[str]:
         """Its live targets, in the order of their births; those that are no row come last."""
-        others = (target for target in self.states if self.net.targets[target].template == plate)
-        return [*self._ids(plate), *others]
+        singles = (target for target in self.states if self.net.targets[target].template == plate)
+        return [*self._ids(plate), *singles]
 
     def held(self, plate: str) -> list[str]:
         """Its live targets that are not lost."""
-        nets, held = self.net.targets, list[str]()
+        nets, live = self.net.targets, list[str]()
         if plate in self.tables:
             rows = self.tables[plate]
-            held += compress(rows.ids, (~rows.columns.is_lost).tolist())
+            live += compress(rows.ids, (~rows.columns.is_lost).tolist())
         if self.gone:
-            held = [target for target in held if target not in self.gone]
-        others = (target for target in self.states if nets[target].template == plate)
-        return [*held, *(target for target in others if nets[target].status != "lost")]
+            live = [target for target in live if target not in self.gone]
+        singles = (target for target in self.states if nets[target].template == plate)
+        return [*live, *(target for target in singles if nets[target].status != "lost")]
 
     def boxes(self, targets: Sequence[str]) -> Floats:
         """(K, 4) estimates of this frame."""
@@ -203,36 +203,36 @@ class LiveTable:
 
         All of a plate, those that are no row last.
         """
-        apart = [target for target in targets if target in self.states]
-        beliefs = [self.states[target].belief for target in apart]
-        mean = np.array([one.mean[:4] for one in beliefs]).reshape(-1, 4)
-        covariance = np.array([one.covariance[:4, :4] for one in beliefs]).reshape(-1, 4, 4)
-        since = [self.records[target].since for target in apart]
-        own = targets[: len(targets) - len(apart)]
-        if not own:
-            return mean, covariance, since
-        table = self._table_of(own[0])
-        now = table.columns
-        rows = slice(None) if tuple(own) == table.ids else [table.index[target] for target in own]
-        births = now.since[rows].tolist()
-        if not apart:
-            return now.mean[rows, :4], now.covariance[rows, :4, :4], births
-        means, spreads = [now.mean[rows, :4], mean], [now.covariance[rows][:, :4, :4], covariance]
-        return np.concatenate(means), np.concatenate(spreads), births + since
+        singles = [target for target in targets if target in self.states]
+        beliefs = [self.states[target].belief for target in singles]
+        mean = np.array([belief.mean[:4] for belief in beliefs]).reshape(-1, 4)
+        covariance = np.array([belief.covariance[:4, :4] for belief in beliefs]).reshape(-1, 4, 4)
+        starts = [self.records[target].since for target in singles]
+        in_rows = targets[: len(targets) - len(singles)]
+        if not in_rows:
+            return mean, covariance, starts
+        table = self._table_of(in_rows[0])
+        columns = table.columns
+        rows = slice(None) if tuple(in_rows) == table.ids else [table.index[target] for target in in_rows]
+        births = columns.since[rows].tolist()
+        if not singles:
+            return columns.mean[rows, :4], columns.covariance[rows, :4, :4], births
+        means, spreads = [columns.mean[rows, :4], mean], [columns.covariance[rows][:, :4, :4], covariance]
+        return np.concatenate(means), np.concatenate(spreads), births + starts
 
     def mark_seen(self, targets: Iterable[str]) -> None:
         """Targets have a detection of their own."""
-        own: dict[str, list[int]] = {}
+        claimed_rows: dict[str, list[int]] = {}
         for target in targets:
             if target in self.records:
                 self.records[target] = replace(self.records[target], unseen_frames=0)
                 continue
             plate = self.net.targets[target].template
-            own.setdefault(plate, []).append(self.tables[plate].index[target])
-        for plate, seen in own.items():
+            claimed_rows.setdefault(plate, []).append(self.tables[plate].index[target])
+        for plate, claimed in claimed_rows.items():
             rows = self.tables[plate]
             unseen = rows.columns.unseen_frames.copy()
-            unseen[seen] = 0
+            unseen[claimed] = 0
             self.tables[plate] = rows.changed(columns=rows.columns.changed(unseen_frames=unseen))
 
     def add(self, target: str, state: TargetState, record: TrackRecord, metrics: FrameMetrics) -> None:
@@ -256,21 +256,24 @@ class LiveTable:
                 is_over |= rows.columns.unseen_frames >= rule.unseen_frames
             over = [rows.ids[row] for row in np.flatnonzero(is_over).tolist()]
         live = [target for target in over if target not in self.gone]
-        others = [target for target in self.states if self.net.targets[target].template == plate]
-        causes = {target: find_end_cause(self.record(target), rule) for target in (*live, *others)}
+        singles = [target for target in self.states if self.net.targets[target].template == plate]
+        causes = {target: find_end_cause(self.record(target), rule) for target in (*live, *singles)}
         return [(target, why) for target, why in causes.items() if why is not None]
 
     def vanishing(self, plate: str, end: float) -> list[tuple[str, float]]:
         """Targets that exist with a smaller probability than `end`, and that probability."""
-        found: list[tuple[str, float]] = []
+        ending: list[tuple[str, float]] = []
         if plate in self.tables:
             rows = self.tables[plate]
             existence = rows.columns.existence
             low = [(rows.ids[row], float(existence[row])) for row in np.flatnonzero(existence < end).tolist()]
-            found = [(target, value) for target, value in low if target not in self.gone]
-        own = [target for target in self.states if self.net.targets[target].template == plate]
-        others = ((target, self.states[target].existence) for target in own)
-        return [*found, *((target, value) for target, value in others if value is not None and value < end)]
+            ending = [(target, value) for target, value in low if target not in self.gone]
+        singles = [target for target in self.states if self.net.targets[target].template == plate]
+        existences = ((target, self.states[target].existence) for target in singles)
+        return [
+            *ending,
+            *((target, value) for target, value in existences if value is not None and value < end),
+        ]
 
     def end(self, decision: TargetDied | DuplicateEnded) -> None:
         """A target ends."""
@@ -279,13 +282,13 @@ class LiveTable:
         if self.states.pop(decision.target, None) is None:
             self.gone.add(decision.target)
 
-    def outcome(self, before: Outcome, frame: Frame) -> Outcome:
+    def outcome(self, previous: Outcome, frame: Frame) -> Outcome:
         """The outcome with all that was done here: targets that start are rows where they fit."""
         tables, nets = dict(self.tables), self.net.targets
         for plate, rows in self.tables.items():
-            own = self.gone.intersection(rows.ids) if self.gone else ()
-            if own:
-                keep = np.array([target not in own for target in rows.ids], dtype=np.bool_)
+            ended = self.gone.intersection(rows.ids) if self.gone else ()
+            if ended:
+                keep = np.array([target not in ended for target in rows.ids], dtype=np.bool_)
                 tables[plate] = rows.take(keep)
         if tables:
             fit = rows_of(self.engine, nets, self.states, self.records, frame.time)
@@ -293,8 +296,8 @@ class LiveTable:
                 tables[plate] = tables[plate].extended(rows) if plate in tables else rows
                 for target in rows.ids:
                     del self.states[target], self.records[target]
-        known = before.state.net.targets
-        unsure = {plate for plate, rows in self.tables.items() if rows.checked is not known}
+        checked = previous.state.net.targets
+        unsure = {plate for plate, rows in self.tables.items() if rows.checked is not checked}
         gaussians = [
             rows.changed(checked=None if plate in unsure else nets) for plate, rows in tables.items()
         ]
@@ -303,6 +306,6 @@ class LiveTable:
         if gaussians:
             targets, records = Targets(gaussians, (), self.states), Records(gaussians, self.records)
         history = evolve(self.history, records=records)
-        state = evolve(before.state, net=self.net, targets=targets, previous=frame, history=history)
+        state = evolve(previous.state, net=self.net, targets=targets, previous=frame, history=history)
         metrics = self.metrics.with_born(self.lines)
-        return evolve(before, state=state, metrics=metrics, events=(*before.events, *self.events))
+        return evolve(previous, state=state, metrics=metrics, events=(*previous.events, *self.events))

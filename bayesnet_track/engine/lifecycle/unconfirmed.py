@@ -42,7 +42,7 @@ PROSPECTS = 4
 
 @dataclass(frozen=True, eq=False)
 class CrowdRule:
-    """What a plate says of existence and association.
+    """Settings of a plate for existence and association.
 
     Attributes:
         sensor: how detections measure targets, and which may be a target's.
@@ -64,27 +64,27 @@ class CrowdRule:
 
     @classmethod
     def of(cls, compiled: CompiledPlate, agent: str | None = None) -> CrowdRule | None:
-        """That of a plate, by its first sensor unless it is named; None where it has no existence."""
+        """Rule of a plate, by its first sensor unless it is named; None where it has no existence."""
         life = compiled.lifecycle
         if life is None or life.existence is None or life.birth is None or not compiled.sensors:
             return None
         first = next(iter(compiled.sensors))
         agent = agent or first
         is_marginal = compiled.plate.spec.associate == "marginal"
-        most = max(PROSPECTS * life.birth.max_targets, 32)
+        max_tracks = max(PROSPECTS * life.birth.max_targets, 32)
         sensor, camera = compiled.sensors[agent], compiled.cameras[agent]
-        return cls(sensor, life.existence, is_marginal, compiled.moments, most, agent == first, camera)
+        return cls(sensor, life.existence, is_marginal, compiled.moments, max_tracks, agent == first, camera)
 
 
-def first_population(rule: CrowdRule, found: Found, frame: Frame) -> DetectionModel:
-    """That of a first frame, in which free detections were `found`."""
+def first_population(rule: CrowdRule, detections: Found, frame: Frame) -> DetectionModel:
+    """The detection model after a first frame with these free detections."""
     detection_model = rule.sensor.learn(
-        DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields))), found
+        DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields))), detections
     )
-    free = np.ones(len(found.values))
+    free = np.ones(len(detections.values))
     begins = detection_model.begin(rule.existence, np.zeros(len(free)), 1.0)
     detection_model = detection_model.after_look(float(free @ (1.0 - begins.target)))
-    return evolve(detection_model, unconfirmed=begin_unconfirmed(rule, begins, found, free, frame))
+    return evolve(detection_model, unconfirmed=begin_unconfirmed(rule, begins, detections, free, frame))
 
 
 def confirmed(
@@ -99,24 +99,24 @@ def confirmed(
 def _candidate(
     rule: CrowdRule, unconfirmed: UnconfirmedTracks, row: int, plate: str, time: float
 ) -> Candidate:
-    by = rule.sensor.association.label
-    seen, looks = max(int(unconfirmed.seen[row]), 1), max(int(unconfirmed.looks[row]), 1)
+    label_rule = rule.sensor.association.label
+    sightings, looks = max(int(unconfirmed.seen[row]), 1), max(int(unconfirmed.looks[row]), 1)
     mean, born = unconfirmed.mean[row], float(unconfirmed.born[row])
     first = mean.copy()
     first[:2] -= velocities(rule.motion, mean[None])[0] * (time - born)
     box, first_box = rule.sensor.boxes(np.array([mean, first]))
-    scores = (float(unconfirmed.score[row]) / seen,) * seen
+    scores = (float(unconfirmed.score[row]) / sightings,) * sightings
     return Candidate(
         box,
         np.zeros(2),
-        ((None,) * max(looks - seen, 0) + scores),
+        ((None,) * max(looks - sightings, 0) + scores),
         int(unconfirmed.first[row]),
         birth_key(born, plate, int(unconfirmed.number[row])),
         mean,
         unconfirmed.covariance[row],
         float(unconfirmed.existence[row]),
         track=((born, first_box),),
-        labels=None if by is None else np.log(unconfirmed.values[row]) - np.log(by.prior),
+        labels=None if label_rule is None else np.log(unconfirmed.values[row]) - np.log(label_rule.prior),
     )
 
 
@@ -133,63 +133,69 @@ def predict_unconfirmed(
         mean, covariance = predict_rows(unconfirmed.mean, unconfirmed.covariance, *linear, image)
     else:
         moves = confined(motion, *size)
-        several = [
+        moments = [
             predict(mean, covariance, moves, dt, Gaussian(filter="extended"))
             for mean, covariance in zip(unconfirmed.mean, unconfirmed.covariance, strict=True)
         ]
-        mean, covariance = np.array([one[0] for one in several]), np.array([one[1] for one in several])
+        mean, covariance = (
+            np.array([moment[0] for moment in moments]),
+            np.array([moment[1] for moment in moments]),
+        )
     return evolve(unconfirmed, mean=mean, covariance=covariance)
 
 
 def with_fast(
-    rule: CrowdRule, before: UnconfirmedTracks, expected: UnconfirmedTracks, boxes: Floats, dt: float
+    rule: CrowdRule, previous: UnconfirmedTracks, expected: UnconfirmedTracks, boxes: Floats, dt: float
 ) -> UnconfirmedTracks:
     """Second hypotheses of tracks seen once: faster than the graph's start velocities say.
 
-    A track has one if none of the detections (N, 4) is inside its gate where it is `expected`, and a single
-    one is within `FOLLOW_BOX` of its sides a frame interval of where it was `before`, which is near no other
+    A track has one if none of the detections (N, 4) is inside its gate where it is `expected`, and only
+    one is within `FOLLOW_BOX` of its sides a frame interval of its place in `previous`, and near no other
     such track. Its velocity is known by that reach only; it is as much less probable as `FAST_SHARE` says.
     """
-    motion, once = rule.motion, np.flatnonzero(before.looks == 1)
+    motion, once = rule.motion, np.flatnonzero(previous.looks == 1)
     if not len(once) or not len(boxes) or not is_moving(motion):
-        return before.take(np.empty(0, np.int64))
-    at, places = before.mean[once], boxes[:, :2].T[:, None]
-    x, y = places - at.T[:2, :, None]
-    reach = FOLLOW_BOX * dt * np.sqrt(at[:, 2] * at[:, 3])
+        return previous.take(np.empty(0, np.int64))
+    means, places = previous.mean[once], boxes[:, :2].T[:, None]
+    x, y = places - means.T[:2, :, None]
+    reach = FOLLOW_BOX * dt * np.sqrt(means[:, 2] * means[:, 3])
     is_reached = x * x + y * y <= (reach * reach)[:, None]
     is_reached &= (is_reached.sum(axis=1) == 1)[:, None] & (is_reached.sum(axis=0) == 1)
     rows, columns = np.nonzero(is_reached)
-    once, found = once[rows], boxes[columns]
-    spread = expected.covariance[once][:, (0, 1), (0, 1)] + rule.sensor.association.variances(found)[:, :2]
-    d2 = ((found[:, :2] - expected.mean[once, :2]) ** 2 / spread).sum(axis=1)
-    fast = before.take(once[d2 > chi_square_quantile(rule.sensor.association.gate, 4)])
+    once, followers = once[rows], boxes[columns]
+    spread = (
+        expected.covariance[once][:, (0, 1), (0, 1)] + rule.sensor.association.variances(followers)[:, :2]
+    )
+    d2 = ((followers[:, :2] - expected.mean[once, :2]) ** 2 / spread).sum(axis=1)
+    fast = previous.take(once[d2 > chi_square_quantile(rule.sensor.association.gate, 4)])
     covariance = fast_covariance(motion, fast.covariance, fast.mean)
     presence = Presence.sure(len(fast))  # a false alarm that lasts does not move so fast
     return evolve(fast, covariance=covariance, existence=FAST_SHARE * fast.existence, presence=presence)
 
 
 def advance_unconfirmed(
-    rule: CrowdRule, unconfirmed: UnconfirmedTracks, pairs: Pairs, shared: Shared, found: Found
+    rule: CrowdRule, unconfirmed: UnconfirmedTracks, pairs: Pairs, shared: Shared, detections: Found
 ) -> UnconfirmedTracks:
     """The unconfirmed tracks after the look."""
     if not len(unconfirmed):
         return unconfirmed
     first = len(shared.existence) - len(unconfirmed)
-    own = pairs.rows >= first
-    rows, columns, weights = pairs.rows[own] - first, pairs.columns[own], pairs.values[own]
+    is_track = pairs.rows >= first
+    rows, columns = pairs.rows[is_track] - first, pairs.columns[is_track]
+    weights = pairs.values[is_track]
     starts = np.searchsorted(rows, np.arange(len(unconfirmed) + 1))
     mean, covariance = unconfirmed.mean.copy(), unconfirmed.covariance.copy()
     missed = np.clip(1.0 - np.bincount(rows, weights, minlength=len(unconfirmed)), 0.0, 1.0)
-    rule.sensor.mix(mean, covariance, found, Mixed(starts, columns, weights, missed))
+    rule.sensor.mix(mean, covariance, detections, Mixed(starts, columns, weights, missed))
     is_seen = shared.seen[first:] >= 0.5
-    scores = np.bincount(rows, weights * found.scores[columns], minlength=len(unconfirmed))
+    scores = np.bincount(rows, weights * detections.scores[columns], minlength=len(unconfirmed))
     values = unconfirmed.values
     if (rule_of_labels := rule.sensor.association.label) is not None:
-        likelihoods = np.exp(rule_of_labels.log(found.labels))[columns]
+        likelihoods = np.exp(rule_of_labels.log(detections.labels))[columns]
         values = np.array(
             [
-                rule_of_labels.learnt(own, likelihoods[low:high], weights[low:high], float(missed[row]))
-                for row, (own, low, high) in enumerate(zip(values, starts[:-1], starts[1:], strict=True))
+                rule_of_labels.learnt(prior, likelihoods[low:high], weights[low:high], float(missed[row]))
+                for row, (prior, low, high) in enumerate(zip(values, starts[:-1], starts[1:], strict=True))
             ]
         )
     return UnconfirmedTracks(
@@ -208,38 +214,38 @@ def advance_unconfirmed(
 
 
 def begin_unconfirmed(
-    rule: CrowdRule, begins: Begins, found: Found, free: Floats, frame: Frame
+    rule: CrowdRule, begins: Begins, detections: Found, free: Floats, frame: Frame
 ) -> UnconfirmedTracks:
     """A prospect for each detection that may be nobody's, as far as it is `free` (N,)."""
-    new = np.flatnonzero(free >= LEAST_FREE)
-    if not len(new):
+    indices = np.flatnonzero(free >= LEAST_FREE)
+    if not len(indices):
         return UnconfirmedTracks.none(len(rule.motion.fields))
-    start = rule.sensor.begin(rule.motion, found.only(new))
-    new, count = new[start.which], len(start.which)
-    ones, begun = np.ones(count, dtype=np.int64), free[new]
-    lasting = {"spot": begun * begins.spot[new], "double": begun * begins.double[new]}
-    presence = evolve(Presence.sure(count), **lasting, begun=begun, near=begins.near[new])
+    start = rule.sensor.begin(rule.motion, detections.only(indices))
+    indices, count = indices[start.which], len(start.which)
+    ones, begun = np.ones(count, dtype=np.int64), free[indices]
+    lasting = {"spot": begun * begins.spot[indices], "double": begun * begins.double[indices]}
+    presence = evolve(Presence.sure(count), **lasting, begun=begun, near=begins.near[indices])
     return UnconfirmedTracks(
         start.mean,
         start.covariance,
-        begun * begins.target[new],
+        begun * begins.target[indices],
         frame.index * ones,
         np.full(count, frame.time),
-        found.numbers[new],
+        detections.numbers[indices],
         ones,
         ones,
-        found.scores[new].astype(np.float64),
-        first_values(rule, found)[new],
+        detections.scores[indices].astype(np.float64),
+        first_values(rule, detections)[indices],
         presence,
     )
 
 
-def first_values(rule: CrowdRule, found: Found) -> Floats:
+def first_values(rule: CrowdRule, detections: Found) -> Floats:
     """(N, V) probabilities of what something is of which each detection is the first."""
-    by = rule.sensor.association.label
-    if by is None:
-        return np.empty((len(found.values), 0))
-    joint = np.array(by.prior) * np.exp(by.log(found.labels))
+    label_rule = rule.sensor.association.label
+    if label_rule is None:
+        return np.empty((len(detections.values), 0))
+    joint = np.array(label_rule.prior) * np.exp(label_rule.log(detections.labels))
     return np.asarray(joint / joint.sum(axis=1, keepdims=True))
 
 
@@ -254,8 +260,8 @@ def prune(rule: CrowdRule, detection_model: DetectionModel) -> DetectionModel:
     if rule.is_first:
         over = unconfirmed.presence.take(~is_kept)
         detection_model = detection_model.after_over(over, rule.existence)
-    kept = np.flatnonzero(is_kept)
-    if len(kept) > rule.most:
-        best = np.argsort(-unconfirmed.existence[kept], kind="stable")[: rule.most]
-        kept = np.sort(kept[best])
-    return evolve(detection_model, unconfirmed=unconfirmed.take(kept))
+    indices = np.flatnonzero(is_kept)
+    if len(indices) > rule.most:
+        ranked = np.argsort(-unconfirmed.existence[indices], kind="stable")[: rule.most]
+        indices = np.sort(indices[ranked])
+    return evolve(detection_model, unconfirmed=unconfirmed.take(indices))

@@ -79,13 +79,13 @@ class ViewSensor:
 
     def boxes(self, mean: Floats, agent: str = "") -> Floats:
         """(T, 4) boxes in the image of states (T, D), as the camera shows and `agent` finds them."""
-        found = self.view.boxes(self.views.named(mean), agent)
-        return np.where(np.isfinite(found).all(axis=1, keepdims=True), found, np.array(UNSEEN))
+        boxes = self.view.boxes(self.views.named(mean), agent)
+        return np.where(np.isfinite(boxes).all(axis=1, keepdims=True), boxes, np.array(UNSEEN))
 
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
-        """What targets (T, D), (T, D, D) are expected to be detected as, by a detector without errors."""
-        by = expect_by_points if self.is_unscented else expect_by_slopes
-        expected = by(self._of, self._near, mean, covariance, np.zeros((WIDTH, WIDTH)))
+        """Expected detections of targets (T, D), (T, D, D), by a detector without errors."""
+        expect_moments = expect_by_points if self.is_unscented else expect_by_slopes
+        expected = expect_moments(self._of, self._near, mean, covariance, np.zeros((WIDTH, WIDTH)))
         if self.view.clock is not None:
             for row in np.flatnonzero(expected.is_known).tolist():
                 shift, spread = self.view.beyond(mean[row], covariance[row])
@@ -93,47 +93,47 @@ class ViewSensor:
                 expected.spread[row] += spread
         return expected
 
-    def gate(self, mean: Floats, covariance: Floats, found: Found) -> Pairs:
-        """As of every sensor."""
+    def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
+        """Possible pairs, as of every sensor."""
         nothing = np.empty(0, np.int64)
-        if not len(mean) or not len(found.values):
+        if not len(mean) or not len(detections.values):
             return Pairs(nothing, nothing, np.empty(0))
-        d2, log_gains = self._distances(mean, covariance, found)
+        d2, log_gains = self._distances(mean, covariance, detections)
         limit = chi_square_quantile(self.association.gate, WIDTH)
         rows, columns = np.nonzero((d2 <= limit) & (d2 < np.inf))
         return Pairs(rows, columns, log_gains[rows, columns])
 
-    def log_gains(self, mean: Floats, covariance: Floats, found: Found) -> Floats:
-        """As of every sensor; -inf of a target that the camera cannot see."""
-        return self._distances(mean, covariance, found)[1]
+    def log_gains(self, mean: Floats, covariance: Floats, detections: Found) -> Floats:
+        """Log densities of all pairs; -inf of a target that the camera cannot see."""
+        return self._distances(mean, covariance, detections)[1]
 
-    def mix(self, mean: Floats, covariance: Floats, found: Found, mixed: Mixed) -> None:
-        """As of every sensor: each choice gives the update of the extended or unscented filter."""
+    def mix(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> None:
+        """Update beliefs: each choice gives the update of the extended or unscented filter."""
         rows = np.flatnonzero(np.diff(mixed.starts) > 0)
         if not len(rows):
             return
         expected = self.expect(mean[rows], covariance[rows])
-        noise = self._noise(mean[rows], found)
+        noise = self._noise(mean[rows], detections)
         first = mean.shape[1] - len(self.views.lasting)
         shared = [first + k for k, error in enumerate(self.views.lasting) if error.is_shared]
-        for at, row in enumerate(rows.tolist()):
-            if not expected.is_known[at]:
+        for index, row in enumerate(rows.tolist()):
+            if not expected.is_known[index]:
                 continue
-            own = slice(mixed.starts[row], mixed.starts[row + 1])
-            columns, shares = mixed.columns[own], mixed.weights[own]
-            cross = expected.cross[at]
-            spread = expected.spread[at] + noise[at, columns]
+            pairs = slice(mixed.starts[row], mixed.starts[row + 1])
+            columns, shares = mixed.columns[pairs], mixed.weights[pairs]
+            cross = expected.cross[index]
+            spread = expected.spread[index] + noise[index, columns]
             gains = np.swapaxes(
                 np.linalg.solve(spread, np.broadcast_to(cross.T, (len(columns), *cross.T.shape))), 1, 2
             )
-            moves = (gains @ (found.values[columns] - expected.values[at])[:, :, None])[:, :, 0]
+            moves = (gains @ (detections.values[columns] - expected.values[index])[:, :, None])[:, :, 0]
             moves[:, shared] = 0.0
             shift = shares @ moves
             between = (moves * shares[:, None]).T @ moves - np.outer(shift, shift)
-            told = np.einsum("k,kij->ij", shares, gains @ cross.T)
-            told[np.ix_(shared, shared)] = 0.0  # Schmidt's update, as of `belief.gaussian.update.allow_for`
+            drop = np.einsum("k,kij->ij", shares, gains @ cross.T)
+            drop[np.ix_(shared, shared)] = 0.0  # Schmidt's update, as of `belief.gaussian.update.allow_for`
             mean[row] += shift
-            covariance[row] = symmetric(covariance[row] - told + between)
+            covariance[row] = symmetric(covariance[row] - drop + between)
         np.maximum(mean[:, 2:4], LEAST_SIDE_M, out=mean[:, 2:4])
 
     def cover(self, mean: Floats, existence: Floats) -> Floats:
@@ -141,9 +141,9 @@ class ViewSensor:
         from bayesnet_track.numerics.kernels.pair_kernels import cover_rows
 
         boxes = np.ascontiguousarray(self.boxes(mean))
-        seen = boxes[:, 0] != UNSEEN[0]
+        in_view = boxes[:, 0] != UNSEEN[0]
         order = np.argsort(boxes[:, 0] - boxes[:, 2] / 2, kind="stable")
-        return np.asarray(cover_rows(boxes, existence * seen, order, COVERED) * seen)
+        return np.asarray(cover_rows(boxes, existence * in_view, order, COVERED) * in_view)
 
     def in_image(self, mean: Floats, covariance: Floats) -> Floats:
         """Probability that a part of its box is, a Gaussian in the image; 1 if its size is not known."""
@@ -159,33 +159,35 @@ class ViewSensor:
         shares = ndtr(high) - ndtr(low)
         return np.where(expected.is_known, shares.prod(axis=1), 0.0)
 
-    def near(self, mean: Floats, existence: Floats, found: Found, area_px2: float) -> tuple[Floats, float]:
+    def near(
+        self, mean: Floats, existence: Floats, detections: Found, area_px2: float
+    ) -> tuple[Floats, float]:
         """By the share of the detection that a predicted box covers in the image."""
         boxes = np.ascontiguousarray(self.boxes(mean))
-        return near_boxes(boxes, existence * (boxes[:, 0] != UNSEEN[0]), found.values, area_px2)
+        return near_boxes(boxes, existence * (boxes[:, 0] != UNSEEN[0]), detections.values, area_px2)
 
-    def learn(self, detection_model: DetectionModel, found: Found) -> DetectionModel:
+    def learn(self, detection_model: DetectionModel, detections: Found) -> DetectionModel:
         """The sizes that detections have."""
-        return detection_model.with_sizes(found.values)
+        return detection_model.with_sizes(detections.values)
 
-    def log_density(self, detection_model: DetectionModel, found: Found, area_px2: float) -> Floats:
+    def log_density(self, detection_model: DetectionModel, detections: Found, area_px2: float) -> Floats:
         """Uniform over the frame, of the sizes that detections have."""
-        return detection_model.log_density(found.values, area_px2)
+        return detection_model.log_density(detections.values, area_px2)
 
-    def begin(self, motion: MotionModel, found: Found) -> Begun:
-        """Where the box stands, as surely as it says; none above the horizon."""
-        variances = self.association.variances(found.values)
-        view, boxes = self.view, found.values
+    def begin(self, motion: MotionModel, detections: Found) -> Begun:
+        """States where the boxes stand, as surely as they say; none above the horizon."""
+        variances = self.association.variances(detections.values)
+        view, boxes = self.view, detections.values
         if self.shift is not None:
-            own = {"sd": self.shift.variance**0.5}
-            lasting = (evolve(one, **own) if self.is_bias(one) else one for one in view.lasting)
+            bias = {"sd": self.shift.variance**0.5}
+            lasting = (evolve(error, **bias) if self.is_bias(error) else error for error in view.lasting)
             view, boxes = evolve(view, lasting=tuple(lasting)), boxes.copy()
             boxes[:, :2] -= self.shift.mean
         placed = place(view, boxes, variances, self.views.sizes, self.agent)
-        started = [motion.start_moments(state) for state in placed.states]
+        moments = [motion.start_moments(state) for state in placed.states]
         size, first = len(motion.fields), len(motion.fields) - len(self.views.lasting)
-        mean = np.array([one for one, _ in started]).reshape(-1, size)
-        covariance = np.array([one for _, one in started]).reshape(-1, size, size)
+        mean = np.array([moment for moment, _ in moments]).reshape(-1, size)
+        covariance = np.array([moment for _, moment in moments]).reshape(-1, size, size)
         covariance[:, :4, :4] += placed.covariances
         covariance[:, :4, first:] += placed.cross
         covariance[:, first:, :4] += np.swapaxes(placed.cross, 1, 2)
@@ -197,12 +199,12 @@ class ViewSensor:
             mean, covariance = self.clocks.begun(self.view.node, mean, covariance)
         return Begun(placed.which, mean, covariance)
 
-    def _distances(self, mean: Floats, covariance: Floats, found: Found) -> tuple[Floats, Floats]:
+    def _distances(self, mean: Floats, covariance: Floats, detections: Found) -> tuple[Floats, Floats]:
         """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where the camera sees nothing."""
         expected = self.expect(mean, covariance)
-        lower = np.linalg.cholesky(expected.spread[:, None] + self._noise(mean, found))
-        away = found.values[None] - expected.values[:, None]
-        scaled = np.linalg.solve(lower, away[..., None])[..., 0]
+        lower = np.linalg.cholesky(expected.spread[:, None] + self._noise(mean, detections))
+        offsets = detections.values[None] - expected.values[:, None]
+        scaled = np.linalg.solve(lower, offsets[..., None])[..., 0]
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=2), np.inf)
         half = np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
         return d2, -0.5 * d2 - half
@@ -216,13 +218,13 @@ class ViewSensor:
         """True of the error of the camera's calibration."""
         return error.node == self.view.node and error.is_shared
 
-    def _noise(self, mean: Floats, found: Found) -> Floats:
+    def _noise(self, mean: Floats, detections: Found) -> Floats:
         """(T, N, 4, 4) of the errors of detections that differ from frame to frame, cut edges included.
 
         They are those of a detection of the box of states (T, D), as in `inference.views.through`.
         """
-        own = self.association.variances(self.boxes(mean, self.agent))[:, :, None] * np.eye(WIDTH)
-        return own[:, None] + cut_covariance(self.view.camera, found.values)
+        noise = self.association.variances(self.boxes(mean, self.agent))[:, :, None] * np.eye(WIDTH)
+        return noise[:, None] + cut_covariance(self.view.camera, detections.values)
 
     def _of(self, states: Floats) -> Floats:
         return self.view.boxes(self.views.named(states), self.agent)
@@ -235,5 +237,5 @@ def make_view_sensor(plate: CheckedTarget, agent: str, rule: AssociationRule, vi
     """The sensor of an agent below a view that is given detections of boxes."""
     seen_by = plate.seen_by(agent)
     assert seen_by is not None
-    view = next(one for one in views.views.values() if one.seen_by == seen_by.name)
+    view = next(entry for entry in views.views.values() if entry.seen_by == seen_by.name)
     return ViewSensor(rule, agent, views, view, is_unscented(plate))

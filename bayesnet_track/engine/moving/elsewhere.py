@@ -42,7 +42,7 @@ Restart = Callable[[Floats, Observer], Step[Posterior]]
 
 @dataclass(frozen=True, eq=False)
 class Find:
-    """What agents say of a place.
+    """Evidence of agents on a place.
 
     Attributes:
         box: (4,) centre box where the surest of them sees the target, px.
@@ -56,7 +56,7 @@ class Find:
 def look_elsewhere(
     work: FrameContext,
     target: str,
-    before: TargetState,
+    previous: TargetState,
     moves: PredictedMotion,
     steps: tuple[Plan, Step[Posterior], Observer, Restart],
 ) -> tuple[PredictedMotion, Step[Posterior]]:
@@ -74,36 +74,36 @@ def look_elsewhere(
         return moves, first
     assert compiled.moving is not None and compiled.moving.relocalize is not None
     assert context.influences is not None
-    rule, here = compiled.moving.relocalize, first.posterior.mean[:4]
-    box = before.belief.mean[:4] if context.held is None else context.held
-    within = _reached(rule, context, box, work)
-    places = _lay_places(within, APART_BOX * math.sqrt(box[2] * box[3]))
+    rule, current_box = compiled.moving.relocalize, first.posterior.mean[:4]
+    box = previous.belief.mean[:4] if context.held is None else context.held
+    reach = _reached(rule, context, box, work)
+    places = _lay_places(reach, APART_BOX * math.sqrt(box[2] * box[3]))
     place = np.concatenate([places[pick_place(work.frame.index, len(places))], box[2:]])
-    found = _look_at(work, before, (plan, observer, agents), place)
-    stays = _see(first.evidence.measured, agents, here).log_odds
-    if found.log_odds <= max(stays, 0.0) or overlap_of_two(found.box, here) > 0.0:
+    find = _look_at(work, previous, (plan, observer, agents), place)
+    stays = _see(first.evidence.measured, agents, current_box).log_odds
+    if find.log_odds <= max(stays, 0.0) or overlap_of_two(find.box, current_box) > 0.0:
         return moves, first
-    gain = found.log_odds - stays - math.log(len(places))
-    held = 1.0 / (1.0 + math.exp(-gain) * (1.0 - rule.share) / rule.share)
-    if held <= TELL_ABOVE:
+    gain = find.log_odds - stays - math.log(len(places))
+    probability = 1.0 / (1.0 + math.exp(-gain) * (1.0 - rule.share) / rule.share)
+    if probability <= TELL_ABOVE:
         return moves, first
-    jumped = restart(found.box, replace(observer, measured={}))
-    x, y = found.box[:2].tolist()
+    jumped = restart(find.box, replace(observer, measured={}))
+    x, y = find.box[:2].tolist()
     event = Reappeared(
         frame=work.frame.index,
         target=target,
         by=" and ".join(sorted(agents)),
         hypotheses=0,
-        held=held,
+        held=probability,
         level=TELL_ABOVE,
         share=rule.share,
         turning=1.0 / (1.0 + math.exp(gain)),
         x=x,
         y=y,
-        moved_px=math.dist((x, y), before.belief.mean[:2].tolist()),
+        moved_px=math.dist((x, y), previous.belief.mean[:2].tolist()),
         ud_px2=context.ud_px2,
         above_px2=0.0,
-        within_px=_searched(within.half_px, box, found.box),
+        within_px=_searched(reach.half_px, box, find.box),
     )
     context = evolve(context, influences=evolve(context.influences, jump_share=rule.share))
     return replace(moves, motion_context=context), evolve(
@@ -113,7 +113,11 @@ def look_elsewhere(
 
 def _that_look(searching: frozenset[str], plan: Plan, step: Step[Posterior]) -> frozenset[str]:
     """The agents of the whole that can look elsewhere and were asked in the frame's step."""
-    able = {one.agent for one in plan.observations if one.agent in searching and one.at == plan.root}
+    able = {
+        observation.agent
+        for observation in plan.observations
+        if observation.agent in searching and observation.at == plan.root
+    }
     return frozenset(able & step.evidence.measured.keys())
 
 
@@ -125,31 +129,31 @@ def _is_missing(work: FrameContext, target: str, context: MotionContext) -> bool
 
 
 def _reached(rule: Relocalize, context: MotionContext, box: Floats, work: FrameContext) -> Within:
-    """Where the target may be by now that was last held in the centre box (4,)."""
+    """Places where the target may be by now that was last held in the centre box (4,)."""
     half_px = math.inf
     if rule.grow_box is not None and context.held is not None:
         half_px = rule.grow_box * context.away * math.sqrt(box[2] * box[3])
     return Within.around(box, half_px, work.frame.width, work.frame.height)
 
 
-def _searched(half_px: float, box: Floats, found: Floats) -> float | None:
-    """How far from a box it was searched, px; None for the whole frame. Finds farther away count, too."""
+def _searched(half_px: float, box: Floats, found_box: Floats) -> float | None:
+    """Distance from a box that was searched, px; None for the whole frame. Finds farther away count, too."""
     if math.isinf(half_px):
         return None
-    return max(half_px, float(np.abs(found[:2] - box[:2]).max()))
+    return max(half_px, float(np.abs(found_box[:2] - box[:2]).max()))
 
 
-def _lay_places(within: Within, apart_px: float) -> Floats:
+def _lay_places(reach: Within, apart_px: float) -> Floats:
     """(M, 2) places on a lattice over the part of the frame, about so far apart, px."""
     lines = []
-    for low, high in zip(within.low.tolist(), within.high.tolist(), strict=True):
+    for low, high in zip(reach.low.tolist(), reach.high.tolist(), strict=True):
         count = max(round((high - low) / apart_px), 1)
         lines.append(low + (np.arange(count) + 0.5) * (high - low) / count)
     return np.stack(np.meshgrid(*lines), axis=2).reshape(-1, 2)
 
 
 def pick_place(frame: int, count: int) -> int:
-    """Which of `count` places is looked at in a frame.
+    """Index of the one of `count` places that is looked at in a frame.
 
     Multiples of the golden ratio leave no gap in 0..1, so that all places have their turn, also if agents run
     in every second, third or fourth frame only.
@@ -158,35 +162,39 @@ def pick_place(frame: int, count: int) -> int:
 
 
 def _look_at(
-    work: FrameContext, before: TargetState, asked: tuple[Plan, Observer, frozenset[str]], box: Floats
+    work: FrameContext, previous: TargetState, inquiry: tuple[Plan, Observer, frozenset[str]], box: Floats
 ) -> Find:
-    """What agents see around a centre box (4,): they are asked with a hypothesis in each corner.
+    """See what agents measure around a centre box (4,): they are asked with a hypothesis in each corner.
 
     One that fails there, or gives no answer, does so in this frame.
     """
-    plan, observer, agents = asked
-    states = np.tile(np.concatenate([box, before.belief.mean[4:]]), (len(CORNERS), 1))
+    plan, observer, agents = inquiry
+    states = np.tile(np.concatenate([box, previous.belief.mean[4:]]), (len(CORNERS), 1))
     states[:, :2] += 0.5 * APART_BOX * math.sqrt(box[2] * box[3]) * CORNERS
-    at = hypotheses_of(states, before.belief.fields)
-    steps = [one for one in plan.observations if one.agent in agents and one.at == plan.root]
-    alike = np.full(len(CORNERS), -math.log(len(CORNERS)))
-    question = Question({plan.root: at}, alike, region_of_boxes(at.boxes))
+    hypotheses = hypotheses_of(states, previous.belief.fields)
+    steps = [step for step in plan.observations if step.agent in agents and step.at == plan.root]
+    uniform = np.full(len(CORNERS), -math.log(len(CORNERS)))
+    question = Question({plan.root: hypotheses}, uniform, region_of_boxes(hypotheses.boxes))
     answers = ask_agents(question, replace(observer, measured={}), steps)
-    measured = {one.agent: own if isinstance(own, Measurement) else None for one, own in answers.items()}
-    found = _see(measured, agents, box)
-    return replace(found, box=inside_frame(found.box, work.frame))
+    measured = {
+        step.agent: answer if isinstance(answer, Measurement) else None for step, answer in answers.items()
+    }
+    find = _see(measured, agents, box)
+    return replace(find, box=inside_frame(find.box, work.frame))
 
 
 def _see(measured: Mapping[str, Measurement | None], agents: Collection[str], box: Floats) -> Find:
-    """What the agents measured; one that measured nothing is as unsure as can be, and none leaves the box."""
-    total, most, found = 0.0, -math.inf, box.copy()
+    """Combine the agents' measurements; one without any is as unsure as can be, and none leaves the box."""
+    total, best_odds, found_box = 0.0, -math.inf, box.copy()
     for agent in sorted(agents):
-        one = measured.get(agent)
-        own = log_odds(0.0 if one is None or one.confidence is None else one.confidence)
-        total += own
-        if one is not None and own > most:
-            most, found = own, box.copy()
-            for field, value in zip(one.fields, one.mean.tolist(), strict=True):
+        measurement = measured.get(agent)
+        agent_odds = log_odds(
+            0.0 if measurement is None or measurement.confidence is None else measurement.confidence
+        )
+        total += agent_odds
+        if measurement is not None and agent_odds > best_odds:
+            best_odds, found_box = agent_odds, box.copy()
+            for field, value in zip(measurement.fields, measurement.mean.tolist(), strict=True):
                 if field in BOX_FIELDS:
-                    found[BOX_FIELDS.index(field)] = value
-    return Find(found, total)
+                    found_box[BOX_FIELDS.index(field)] = value
+    return Find(found_box, total)

@@ -37,7 +37,7 @@ SUREST_JUMP = 1.0 - 1e-9
 
 @dataclass(frozen=True, eq=False)
 class MotionContext:
-    """What a target's motion depends on besides its states: arrays and numbers.
+    """Inputs of a target's motion besides its states: arrays and numbers.
 
     Attributes:
         size: (2,) width and height of the first box, px.
@@ -81,13 +81,13 @@ class PredictedMotion:
     events: tuple[DetectorFailed, ...] = ()
 
     def after(
-        self, ud_px2: float, area_px2: float, quiet_px2: float | None, held: Floats | None = None
+        self, ud_px2: float, area_px2: float, quiet_px2: float | None, held_box: Floats | None = None
     ) -> MotionContext | None:
-        """The motion context after the frame, of which these were measured; `held` (4,) as in `Measured`."""
+        """The motion context after a frame with these measurements; `held_box` (4,) as in `Measured`."""
         if self.motion_context is None:
             return None
-        after = evolve(self.motion_context, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
-        return after if held is None else evolve(after, held=held, away=0.0)
+        context = evolve(self.motion_context, ud_px2=ud_px2, area_px2=area_px2, quiet_px2=quiet_px2)
+        return context if held_box is None else evolve(context, held=held_box, away=0.0)
 
 
 def start_motion_context(compiled: CompiledPlate, box: Floats, frames: FramePair) -> MotionContext | None:
@@ -110,8 +110,8 @@ def start_motion_context(compiled: CompiledPlate, box: Floats, frames: FramePair
 
 def predict_motion(
     compiled: CompiledPlate,
-    given: MotionModel | None,
-    known: MotionContext | None,
+    substitute: MotionModel | None,
+    context: MotionContext | None,
     is_lost: bool,
     dt: float,
     cache: PlaneCache,
@@ -119,27 +119,27 @@ def predict_motion(
     """The motion over `dt` frame intervals, as it stands before a frame's evidence.
 
     In this order: the camera moves the states, their sizes are drawn back, noise is added, widened while
-    unsure, and with some probability the position is anywhere instead. `given` stands in for the plate's
+    unsure, and with some probability the position is anywhere instead. `substitute` stands in for the plate's
     motion; where that is of a target which may be carried, all this is how it moves on its own.
     """
     settings, plain = compiled.moving, compiled.motion
     parts = plain.parts if isinstance(plain, Modal) else (plain,)
-    if settings is None or known is None or all(kinematics_of(one) is None for one in parts):
-        return PredictedMotion(compiled.motion if given is None else given, known)
+    if settings is None or context is None or all(kinematics_of(part) is None for part in parts):
+        return PredictedMotion(compiled.motion if substitute is None else substitute, context)
     inflation = 1.0
     if settings.inflate is not None:
-        now = known.reading(settings.inflate.above)
-        if now is not None:
-            inflation = inflation_factor(now.value / now.level, settings.inflate.max_factor)
+        reading = context.reading(settings.inflate.above)
+        if reading is not None:
+            inflation = inflation_factor(reading.value / reading.level, settings.inflate.max_factor)
     camera = _follow_camera(cache, dt) if settings.camera is not None else None
-    influences = Influences(dt, known.size, inflation, camera)
+    influences = Influences(dt, context.size, inflation, camera)
     motion = compose_motion(compiled.motion, settings, influences)
-    found = PredictedMotion(motion, evolve(known, influences=influences, away=known.away + dt))
+    predicted = PredictedMotion(motion, evolve(context, influences=influences, away=context.away + dt))
     if settings.relocalize is not None and not compiled.searching:
-        found = _relocalize(compiled.finder, settings.relocalize, found, is_lost, dt, cache)
-    if isinstance(given, Attached):
-        return replace(found, motion=replace(given, motion=found.motion))
-    return found
+        predicted = _relocalize(compiled.finder, settings.relocalize, predicted, is_lost, dt, cache)
+    if isinstance(substitute, Attached):
+        return replace(predicted, motion=replace(substitute, motion=predicted.motion))
+    return predicted
 
 
 def jump_share(settings: Relocalize, context: MotionContext, is_lost: bool) -> float:
@@ -160,44 +160,46 @@ def _follow_camera(cache: PlaneCache, dt: float) -> CameraShift | None:
 def _relocalize(
     finder: Detector | None,
     settings: Relocalize,
-    usual: PredictedMotion,
+    moves: PredictedMotion,
     is_lost: bool,
     dt: float,
     cache: PlaneCache,
 ) -> PredictedMotion:
-    """The `usual` motion, or with some probability a jump to where the target may reappear."""
-    known, frame = usual.motion_context, cache.frames.current
-    assert known is not None
-    now, per_frame = known.reading(settings.above), jump_share(settings, known, is_lost)
+    """The motion, or with some probability a jump to where the target may reappear."""
+    context, frame = moves.motion_context, cache.frames.current
+    assert context is not None
+    reading, per_frame = context.reading(settings.above), jump_share(settings, context, is_lost)
     if per_frame == 0.0 or min(frame.width, frame.height) < 3:
-        return usual
-    state, fault, found, events = known.finder, known.fault, NOTHING, tuple[DetectorFailed, ...]()
+        return moves
+    state, fault, detections, events = context.finder, context.fault, NOTHING, tuple[DetectorFailed, ...]()
     is_in = fault is None or fault.until is None or fault.until <= frame.index
     if finder is not None and state is not None and is_in:
         try:
-            seen, state = finder.detect(cache.frames, state)
-            found = NOTHING if seen is None else check_detections(seen)
+            answer, state = finder.detect(cache.frames, state)
+            detections = NOTHING if answer is None else check_detections(answer)
         except FAULTS as error:  # a guest's code: whatever it raises must not end the run
-            until, times = next_try(frame.index, fault)
-            fault = Fault(times, frame.index, until, True)
+            next_frame, times = next_try(frame.index, fault)
+            fault = Fault(times, frame.index, next_frame, True)
             name, reason = type(finder).__name__, said(error)
-            found, events = NOTHING, (DetectorFailed(frame.index, name, reason, until, times),)
+            detections, events = NOTHING, (DetectorFailed(frame.index, name, reason, next_frame, times),)
     probes = settings.by.agents
     search = Search(
         hypotheses=settings.hypotheses * min(per_frame / settings.share, 1.0),
         by=settings.by.kind if settings.by.detector is None else settings.by.detector.detector,
         probes=0 if probes is None else probes.max_boxes,
-        boxes=found.boxes,
-        scores=found.scores,
-        ud_px2=known.ud_px2,
-        above_px2=0.0 if now is None or settings.grow_box is not None else now.level * now.scale_px2,
+        boxes=detections.boxes,
+        scores=detections.scores,
+        ud_px2=context.ud_px2,
+        above_px2=0.0
+        if reading is None or settings.grow_box is not None
+        else reading.level * reading.scale_px2,
     )
     share = min(1.0 - (1.0 - per_frame) ** dt, SUREST_JUMP)
-    within = None
-    if settings.grow_box is not None and known.held is not None:
-        half_px = settings.grow_box * known.away * float(np.sqrt(known.held[2] * known.held[3]))
-        within = Within.around(known.held, half_px, frame.width, frame.height)
-    jumping = Jumping(usual.motion, share, frame.width, frame.height, search, within)
-    assert known.influences is not None
-    influences = evolve(known.influences, jump_share=share)
-    return PredictedMotion(jumping, evolve(known, finder=state, fault=fault, influences=influences), events)
+    reach = None
+    if settings.grow_box is not None and context.held is not None:
+        half_px = settings.grow_box * context.away * float(np.sqrt(context.held[2] * context.held[3]))
+        reach = Within.around(context.held, half_px, frame.width, frame.height)
+    jumping = Jumping(moves.motion, share, frame.width, frame.height, search, reach)
+    assert context.influences is not None
+    influences = evolve(context.influences, jump_share=share)
+    return PredictedMotion(jumping, evolve(context, finder=state, fault=fault, influences=influences), events)

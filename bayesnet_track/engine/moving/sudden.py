@@ -34,7 +34,7 @@ Again = Callable[[MotionModel], Step[Posterior]]
 def search_around(
     work: FrameContext,
     target: str,
-    before: TargetState,
+    previous: TargetState,
     moves: PredictedMotion,
     steps: tuple[Plan, Step[Posterior], Again],
 ) -> tuple[PredictedMotion, Step[Posterior]]:
@@ -45,21 +45,21 @@ def search_around(
     target that is in doubt or lost is not searched for: what hides it stays, and look-alikes come along.
     `steps` are the agents that took part in the first step, that step, and what makes another.
     """
-    plan, first, again = steps
-    compiled, usual = work.plate_of(target), usual_fit(before.scored)
+    plan, first, step_with = steps
+    compiled, typical_fit = work.plate_of(target), usual_fit(previous.scored)
     rule, score = sudden_rule(compiled), compiled.plate.inference(compiled.plate.root).score
-    if rule is None or usual is None or not is_sudden(work, target, before, _fit(plan, first)):
+    if rule is None or typical_fit is None or not is_sudden(work, target, previous, _fit(plan, first)):
         return moves, first
-    share, box = _fit(plan, first) / usual, before.belief.mean[:4]
-    found = again(_widened(rule, share, box, moves.motion, work))
+    share, box = _fit(plan, first) / typical_fit, previous.belief.mean[:4]
+    search_step = step_with(_widened(rule, share, box, moves.motion, work))
     full_fit = 0.0 if score is None else score.settings.full_fit
-    if not found.reports or _fit(plan, found) < max(rule.below_fit * usual, full_fit):
+    if not search_step.reports or _fit(plan, search_step) < max(rule.below_fit * typical_fit, full_fit):
         return moves, first
     context = moves.motion_context
     if context is not None and context.influences is not None:
         jumped = replace(context.influences, jump_share=rule.share)
         moves = replace(moves, motion_context=replace(context, influences=jumped))
-    return moves, found
+    return moves, search_step
 
 
 def sudden_rule(compiled: CompiledPlate) -> Sudden | None:
@@ -68,20 +68,20 @@ def sudden_rule(compiled: CompiledPlate) -> Sudden | None:
     return None if moving is None or moving.relocalize is None else moving.relocalize.sudden
 
 
-def is_sudden(work: FrameContext, target: str, before: TargetState, fit: float) -> bool:
+def is_sudden(work: FrameContext, target: str, previous: TargetState, fit: float) -> bool:
     """True where a tracked target, whose best hypothesis fits so well, is to be searched for."""
-    rule, usual = sudden_rule(work.plate_of(target)), usual_fit(before.scored)
-    if rule is None or usual is None or work.net.targets[target].status != "tracking":
+    rule, typical_fit = sudden_rule(work.plate_of(target)), usual_fit(previous.scored)
+    if rule is None or typical_fit is None or work.net.targets[target].status != "tracking":
         return False
     is_large = min(work.frame.width, work.frame.height) >= 3
-    return fit / usual < rule.below_fit and is_large and _pans(rule, before.belief.mean[:4], work)
+    return fit / typical_fit < rule.below_fit and is_large and _pans(rule, previous.belief.mean[:4], work)
 
 
 def _fit(plan: Plan, step: Step[Posterior]) -> float:
     """Likelihood of the best hypothesis, geometric mean over the agents that saw something."""
     evidence = step.evidence
-    silent = {agent for agent, own in evidence.measured.items() if own is None}
-    seeing = [one.agent for one in plan.observations if one.agent not in silent]
+    silent = {agent for agent, measurement in evidence.measured.items() if measurement is None}
+    seeing = [observation.agent for observation in plan.observations if observation.agent not in silent]
     return fit_of([evidence.messages[agent] for agent in seeing if agent in evidence.messages])
 
 
@@ -111,7 +111,7 @@ def _widened(rule: Sudden, share: float, box: Floats, motion: MotionModel, work:
         fit=share,
         below_fit=rule.below_fit,
     )
-    own = motion.motion if isinstance(motion, Jumping) else motion
+    base = motion.motion if isinstance(motion, Jumping) else motion
     return Jumping(
-        own, rule.share, width, height, search, Within.around(box, half_px, width, height, CELL_BOX)
+        base, rule.share, width, height, search, Within.around(box, half_px, width, height, CELL_BOX)
     )

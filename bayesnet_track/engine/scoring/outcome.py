@@ -89,12 +89,12 @@ def level_afterwards(levels: Sequence[float], means: Floats) -> float:
     >>> level_afterwards([0.2, 0.6], np.array([0.1, 0.5, 0.5, 0.9]))
     0.5
     """
-    above = np.sort(means)[::-1]
-    kept = (
-        float(above[count]) if (count := k * len(above) // len(levels)) < len(above) else 0.0
+    descending = np.sort(means)[::-1]
+    lowest_levels = (
+        float(descending[count]) if (count := k * len(descending) // len(levels)) < len(descending) else 0.0
         for k in range(1, len(levels) + 1)
     )  # the lowest level with at most `count` frames above
-    return min(max(level, lowest) for level, lowest in zip(levels, kept, strict=True))
+    return min(max(level, lowest) for level, lowest in zip(levels, lowest_levels, strict=True))
 
 
 def next_cusum(cusum: float, score: float) -> float:
@@ -125,25 +125,25 @@ def with_evidence(scored: ScoreState, score: float, frame: int) -> ScoreState:
 
 
 def judge_alarm(
-    before: ScoreState, scored: ScoreState, rule: Alarm, frame: int, target: str
+    previous: ScoreState, scored: ScoreState, rule: Alarm, frame: int, target: str
 ) -> tuple[ScoreState, AlarmRaised | AlarmEnded | None]:
     """The alarm that is raised, or that ends as its evidence has gone."""
-    found = e_value(scored.cusum, rule)
-    if not scored.alarmed and found >= 1.0 / rule.share and scored.since is not None:
-        raised = AlarmRaised(frame, target, found, rule.share, scored.since, rule.videos)
+    evidence = e_value(scored.cusum, rule)
+    if not scored.alarmed and evidence >= 1.0 / rule.share and scored.since is not None:
+        raised = AlarmRaised(frame, target, evidence, rule.share, scored.since, rule.videos)
         return replace(scored, alarmed=True), raised
-    return scored, AlarmEnded(frame, target) if before.alarmed and not scored.alarmed else None
+    return scored, AlarmEnded(frame, target) if previous.alarmed and not scored.alarmed else None
 
 
 def judge_assurance(
-    before: ScoreState, scored: ScoreState, rule: Guarantee, frame: int, target: str
+    previous: ScoreState, scored: ScoreState, rule: Guarantee, frame: int, target: str
 ) -> AssuranceChanged | None:
     """Event for when `tracking` may no longer be said, or may be said again."""
-    now = is_assured(scored, rule)
-    if now == is_assured(before, rule):
+    assured = is_assured(scored, rule)
+    if assured == is_assured(previous, rule):
         return None
     return AssuranceChanged(
-        frame, target, now, fmean(scored.recent), rule.above, len(scored.recent), rule.share
+        frame, target, assured, fmean(scored.recent), rule.above, len(scored.recent), rule.share
     )
 
 
@@ -176,9 +176,9 @@ def score_target(work: FrameContext, filtered: Filtered, box: Floats, measures: 
     verification = Verification(compiled.verifiers, work.cache, filtered.target, box)
     verified = verification.verify(scored.references, unfit or scored.unfit or not scored.smooth)
     ud_px2 = None if unfit or _is_sought(work, filtered) else measures.ud_px2[compiled.plate.root]
-    further = {**verified.values, **confidences(rule, filtered.step.evidence)}
-    further["border"] = extent_beyond(box, work.frame)
-    scored = scored.after(rule, measures, filtered.step, ud_px2, further)
+    extras = {**verified.values, **confidences(rule, filtered.step.evidence)}
+    extras["border"] = extent_beyond(box, work.frame)
+    scored = scored.after(rule, measures, filtered.step, ud_px2, extras)
     if root.distractors is not None:
         scored, distractor, ended = _follow_distractors(
             work, filtered, root.distractors, box, measures, scored
@@ -189,14 +189,14 @@ def score_target(work: FrameContext, filtered: Filtered, box: Floats, measures: 
     if filtered.modes is not None and filtered.modes.hidden is not None:
         bound = min(bound, 1.0 - filtered.modes.hidden)
     score = min(probability(rule, scored.features(rule)), bound)
-    found: FoundAgain | None = None
+    regain_event: FoundAgain | None = None
     if root.lost is not None and root.lost.found_fit is not None:
         look = _look(work, filtered, box, score, measures.fit)
-        scored, most_now, found = follow_fit(scored, root.lost, look)
+        scored, most_now, regain_event = follow_fit(scored, root.lost, look)
         bound = min(bound, most_now)
         score = min(score, bound)
     scored, notices = _follow(root, filtered.before.scored, scored, score, work.frame.index, filtered.target)
-    notices = (*notices, *(one for one in (found, regained, ended) if one is not None))
+    notices = (*notices, *(event for event in (regain_event, regained, ended) if event is not None))
     if score >= HELD and not unfit:
         verified = verification.follow(verified)
     scored, notices = evolve(scored, references=verified.references), (*notices, *verified.failed)
@@ -207,7 +207,7 @@ def _is_sought(work: FrameContext, filtered: Filtered) -> bool:
     """True where the target is lost, or found by a search in this frame: its belief is as wide as that."""
     frame, target = work.frame.index, filtered.target
     events = (report(frame, target) for report in filtered.step.reports)
-    return work.net.targets[target].status == "lost" or any(isinstance(one, Reappeared) for one in events)
+    return work.net.targets[target].status == "lost" or any(isinstance(event, Reappeared) for event in events)
 
 
 def _follow_distractors(
@@ -223,12 +223,12 @@ def _follow_distractors(
     able = work.plate_of(target).cues.keys() - work.net.targets[target].quarantined
     if not able <= measures.kl.keys():  # it takes all of them to tell things apart
         return scored, None, None
-    seen = find_distractor(rule, frame, target, filtered.step, measures)
+    distractor = find_distractor(rule, frame, target, filtered.step, measures)
     if measures.fit < rule.fit or _is_sought(work, filtered):  # its estimate shows no motion
-        return with_distractor(scored, seen, rule.frames), seen, None
+        return with_distractor(scored, distractor, rule.frames), distractor, None
     place, side = Place(frame, float(box[0]), float(box[1])), float(np.sqrt(max(measures.area_px2, 1.0)))
-    scored, ended = follow_distractor(scored, seen, rule.frames, target, place, side)
-    return scored, seen, ended
+    scored, ended = follow_distractor(scored, distractor, rule.frames, target, place, side)
+    return scored, distractor, ended
 
 
 def _look(work: FrameContext, filtered: Filtered, box: Floats, score: float, fit: float) -> Sighting:
@@ -240,15 +240,15 @@ def _look(work: FrameContext, filtered: Filtered, box: Floats, score: float, fit
 
 
 def _follow(
-    root: InferenceNode, before: ScoreState, scored: ScoreState, score: float, frame: int, target: str
+    root: InferenceNode, previous: ScoreState, scored: ScoreState, score: float, frame: int, target: str
 ) -> tuple[ScoreState, tuple[Event, ...]]:
     """Memory of guarantee and alarm after a frame, and their events."""
     notices: list[Event | None] = []
     if root.guarantee is not None:
         scored = with_recent(scored, score, root.guarantee)
-        notices.append(judge_assurance(before, scored, root.guarantee, frame, target))
+        notices.append(judge_assurance(previous, scored, root.guarantee, frame, target))
     if root.alarm is not None:
-        scored, notice = judge_alarm(before, with_evidence(scored, score, frame), root.alarm, frame, target)
+        scored, notice = judge_alarm(previous, with_evidence(scored, score, frame), root.alarm, frame, target)
         notices.append(notice)
     return scored, tuple(notice for notice in notices if notice is not None)
 
@@ -304,25 +304,28 @@ def follow_agreement(
     agree. More than one box side from where a missing target was held a higher score is asked for. Nothing is
     agreed on where the frame shows nothing, or while a look-alike limits the score.
     """
-    look, before = localized.look, scored.agreement
+    look, agreement = localized.look, scored.agreement
     share = 1.0 / (1.0 + min(max(_moved_box(scored, look) - 1.0, 0.0), FAR_BOX))
     score, level = _unbounded_score(logistic, scored, localized.ud_box), rule.score_above**share
     shows = look.surprise >= SAYS_NOTHING and look.fit >= LEAST_FIT * localized.full_fit and not scored.doubt
     agrees = shows and score >= level and localized.ud_box <= rule.ud_box
-    if not agrees or (before is None and look.status == "tracking"):
-        return (scored if before is None else evolve(scored, agreement=None)), None
+    if not agrees or (agreement is None and look.status == "tracking"):
+        return (scored if agreement is None else evolve(scored, agreement=None)), None
     turning, ud_box, frames = score ** (1.0 / share), localized.ud_box, 1
-    if before is not None and math.hypot(look.x - before.x, look.y - before.y) <= STEADY_BOX * look.side_px:
-        turning, ud_box = min(turning, before.score_above), max(ud_box, before.ud_box)
-        frames = before.frames + 1
+    if (
+        agreement is not None
+        and math.hypot(look.x - agreement.x, look.y - agreement.y) <= STEADY_BOX * look.side_px
+    ):
+        turning, ud_box = min(turning, agreement.score_above), max(ud_box, agreement.ud_box)
+        frames = agreement.frames + 1
     scored = evolve(scored, agreement=Agreement(look.x, look.y, frames, turning, ud_box))
     if frames < rule.frames:
         return scored, None
     event = None
     if frames == rule.frames and (look.fit < localized.full_fit or scored.missing is not None):
-        since = scored.missing
+        missing = scored.missing
         levels = (score, level, rule.score_above, turning, localized.ud_box, rule.ud_box, ud_box)
-        event = Regained(look.frame, look.target, frames, *levels, look.fit, localized.full_fit, since)
+        event = Regained(look.frame, look.target, frames, *levels, look.fit, localized.full_fit, missing)
     return evolve(scored, missing=None, again=(), low=0), event
 
 

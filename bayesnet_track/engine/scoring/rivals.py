@@ -53,19 +53,19 @@ def find_distractor(
     if measures.fit < rule.fit:
         return None
     boxes, log = step.support.boxes, step.evidence.log_likelihood
-    own = int(np.argmax(step.support.weights.log))
+    own_index = int(np.argmax(step.support.weights.log))
     side = float(np.sqrt(max(measures.area_px2, 1.0)))
-    away = np.hypot(boxes[:, 0] - boxes[own, 0], boxes[:, 1] - boxes[own, 1]) / side
-    beside = np.flatnonzero(away >= rule.beyond_box)
+    distances = np.hypot(boxes[:, 0] - boxes[own_index, 0], boxes[:, 1] - boxes[own_index, 1]) / side
+    beside = np.flatnonzero(distances >= rule.beyond_box)
     if not len(beside):
         return None
-    other = int(beside[np.argmax(log[beside])])
-    behind = float(log[own] - log[other])
+    rival = int(beside[np.argmax(log[beside])])
+    behind = float(log[own_index] - log[rival])
     if behind >= rule.within_nats:
         return None
-    x, y = boxes[other, :2].tolist()
+    x, y = boxes[rival, :2].tolist()
     return DistractorSeen(
-        frame, target, x, y, float(away[other]), behind, rule.within_nats, measures.fit, rule.hold
+        frame, target, x, y, float(distances[rival]), behind, rule.within_nats, measures.fit, rule.hold
     )
 
 
@@ -83,9 +83,11 @@ def follow_distractor(
     """
     scored, ended = with_distractor(scored, distractor, frames), None
     if scored.doubt and scored.encounter is not None and _is_past(scored.meeting, place.frame):
-        away = distances_since(scored.encounter, place, side_px)
-        if away is not None and away[0] < min(NEARER * away[1], NEAR_BOX):
-            ended = DoubtEnded(place.frame, target, *away, min(NEARER, NEAR_BOX / away[1]), scored.doubt)
+        separations = distances_since(scored.encounter, place, side_px)
+        if separations is not None and separations[0] < min(NEARER * separations[1], NEAR_BOX):
+            ended = DoubtEnded(
+                place.frame, target, *separations, min(NEARER, NEAR_BOX / separations[1]), scored.doubt
+            )
             scored = evolve(scored, doubt=0)
     return evolve(scored, places=(*scored.places, place)[-BEFORE - SPAN :]), ended
 
@@ -99,17 +101,17 @@ def with_distractor(scored: ScoreState, distractor: DistractorSeen | None, frame
     """With the distractor of this frame, if there is one; `frames` in a row put the target in doubt."""
     if distractor is None:
         return evolve(scored, distractors=0)
-    count, seen = scored.distractors + 1, Place(distractor.frame, distractor.x, distractor.y)
-    meeting = Encounter(motion_before(scored.places), seen, seen, distractor.behind_nats)
+    count, place = scored.distractors + 1, Place(distractor.frame, distractor.x, distractor.y)
+    meeting = Encounter(motion_before(scored.places), place, place, distractor.behind_nats)
     if scored.distractors and scored.meeting is not None:
-        most = max(scored.meeting.behind_nats, distractor.behind_nats)
-        meeting = evolve(scored.meeting, last=seen, behind_nats=most)
+        behind = max(scored.meeting.behind_nats, distractor.behind_nats)
+        meeting = evolve(scored.meeting, last=place, behind_nats=behind)
     scored = evolve(scored, distractors=count, meeting=meeting)
     if count < frames:
         return scored
     # In doubt already: how the target moved is known from before.
-    own = scored.encounter.own if scored.doubt and scored.encounter is not None else meeting.own
-    return evolve(scored, doubt=distractor.hold, encounter=evolve(meeting, own=own))
+    motion = scored.encounter.own if scored.doubt and scored.encounter is not None else meeting.own
+    return evolve(scored, doubt=distractor.hold, encounter=evolve(meeting, own=motion))
 
 
 def without_motion(scored: ScoreState) -> ScoreState:
@@ -156,8 +158,8 @@ class VerifierAtWork:
             planes = self.planes(cache, box)
         except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
             return f"raised {said(error)}"
-        at, starts = Hypotheses(box[None]), np.array([0, 1])
-        (value,), faults = score(self.cue, [planes], at, starts, [reference])
+        hypothesis, starts = Hypotheses(box[None]), np.array([0, 1])
+        (value,), faults = score(self.cue, [planes], hypothesis, starts, [reference])
         return _text_of(faults[0]) if faults else float(value)
 
     def follow(self, cache: PlaneCache, box: Floats, reference: Reference) -> Reference | str:
@@ -169,8 +171,8 @@ class VerifierAtWork:
         except FAULTS as error:
             return f"raised {said(error)}"
         rates = np.array([self.learn_rate])
-        (moved,), faults = follow(self.cue, [planes], box[None], [reference], rates)
-        return _text_of(faults[0]) if faults else moved
+        (reference_after,), faults = follow(self.cue, [planes], box[None], [reference], rates)
+        return _text_of(faults[0]) if faults else reference_after
 
 
 def _text_of(fault: Fault) -> str:
@@ -178,25 +180,25 @@ def _text_of(fault: Fault) -> str:
 
 
 def make_verifiers(
-    chosen: Mapping[str, Verifier], declarations: Mapping[str, CueDeclaration]
+    settings: Mapping[str, Verifier], declarations: Mapping[str, CueDeclaration]
 ) -> dict[str, VerifierAtWork]:
     """The verifiers of a score, ready to be asked; raises CueError as `make_cue`."""
-    made = {}
-    for name, one in chosen.items():
-        declaration = declarations[one.agent.cue]
-        cue = make_cue(declaration, cue_parameters(one.agent, declaration))
+    verifiers = {}
+    for name, verifier in settings.items():
+        declaration = declarations[verifier.agent.cue]
+        cue = make_cue(declaration, cue_parameters(verifier.agent, declaration))
         assert isinstance(cue, Cue)
-        rate = over_frames(one.learn_rate, one.every)
-        made[name] = VerifierAtWork(cue, rate, one.every, declaration.needs_color)
-    return made
+        rate = over_frames(verifier.learn_rate, verifier.every)
+        verifiers[name] = VerifierAtWork(cue, rate, verifier.every, declaration.needs_color)
+    return verifiers
 
 
 def first_references(
     verifiers: Mapping[str, VerifierAtWork], cache: PlaneCache, box: Floats
 ) -> dict[str, Reference]:
     """References that verifiers learn in the centre box (4,); one that cannot is asked again later."""
-    learnt = {name: one.first_reference(cache, box) for name, one in verifiers.items()}
-    return {name: one for name, one in learnt.items() if not isinstance(one, str)}
+    learnt = {name: verifier.first_reference(cache, box) for name, verifier in verifiers.items()}
+    return {name: reference for name, reference in learnt.items() if not isinstance(reference, str)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,30 +238,34 @@ class Verification:
         Those that are asked in every third frame, say, are asked in different ones. One that has no reference
         yet learns its first one here.
         """
-        values, kept, faults = dict[str, float](), dict(references), dict[str, str]()
+        values, updated, faults = dict[str, float](), dict(references), dict[str, str]()
         ordinal = self.cache.frames.current.ordinal
-        for place, (name, one) in enumerate(self.verifiers.items()):
-            if (ordinal + place) % one.every and not everyone:
+        for place, (name, verifier) in enumerate(self.verifiers.items()):
+            if (ordinal + place) % verifier.every and not everyone:
                 continue
-            known = kept[name] if name in kept else one.first_reference(self.cache, self.box)
-            if not known:  # it failed before
+            reference = updated[name] if name in updated else verifier.first_reference(self.cache, self.box)
+            if not reference:  # it failed before
                 continue
-            value = known if isinstance(known, str) else one.log_likelihood(self.cache, self.box, known)
-            if isinstance(known, str) or isinstance(value, str):
-                kept[name], faults[name] = {}, str(value)
+            value = (
+                reference
+                if isinstance(reference, str)
+                else verifier.log_likelihood(self.cache, self.box, reference)
+            )
+            if isinstance(reference, str) or isinstance(value, str):
+                updated[name], faults[name] = {}, str(value)
             else:
-                kept[name], values[name] = known, value
-        return Verified(values, kept, self._failed(faults))
+                updated[name], values[name] = reference, value
+        return Verified(values, updated, self._failed(faults))
 
     def follow(self, verified: Verified) -> Verified:
         """The same after those that were asked have learnt from the estimate."""
-        kept, faults = dict(verified.references), dict[str, str]()
+        references, faults = dict(verified.references), dict[str, str]()
         for name in verified.values:
-            moved = self.verifiers[name].follow(self.cache, self.box, kept[name])
-            kept[name] = {} if isinstance(moved, str) else moved
-            if isinstance(moved, str):
-                faults[name] = moved
-        return Verified(verified.values, kept, (*verified.failed, *self._failed(faults)))
+            answer = self.verifiers[name].follow(self.cache, self.box, references[name])
+            references[name] = {} if isinstance(answer, str) else answer
+            if isinstance(answer, str):
+                faults[name] = answer
+        return Verified(verified.values, references, (*verified.failed, *self._failed(faults)))
 
     def _failed(self, faults: Mapping[str, str]) -> tuple[VerifierFailed, ...]:
         frame = self.cache.frames.current.index

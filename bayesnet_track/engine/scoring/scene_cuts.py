@@ -22,25 +22,25 @@ def find_cuts(engine: Engine, state: State, frame: Frame) -> tuple[State, tuple[
 
     A frame that shows no scene, such as a black one, is skipped: the next is compared with the one before it.
     """
-    before, scene = _last_scene(state), describe_scene(frame.image)
-    if before is None or scene is None:
-        return replace(state, scene=scene or before), ()
+    last_scene, scene = _last_scene(state), describe_scene(frame.image)
+    if last_scene is None or scene is None:
+        return replace(state, scene=scene or last_scene), ()
     state = replace(state, scene=scene)
-    change = compare_scenes(before, scene)
-    found: dict[str, SceneCut] = {}
+    change = compare_scenes(last_scene, scene)
+    cuts: dict[str, SceneCut] = {}
     for target in state.targets:
         level = cut_level(engine.plates[state.net.targets[target].template])
         if level is not None and change.distance > level:
-            found[target] = SceneCut(
+            cuts[target] = SceneCut(
                 frame.index, target, change.distance, level, change.colors, change.structure
             )
-    if not found:
+    if not cuts:
         return state, ()
     targets = {
-        name: _without_place(engine, state, name, frame.index) if name in found else one
-        for name, one in state.targets.items()
+        name: _without_place(engine, state, name, frame.index) if name in cuts else target_state
+        for name, target_state in state.targets.items()
     }
-    decisions = tuple(found.values())
+    decisions = tuple(cuts.values())
     return replace(state, net=apply_decisions(state.net, decisions), targets=targets), decisions
 
 
@@ -63,15 +63,15 @@ def _last_scene(state: State) -> Scene | None:
 
 def _without_place(engine: Engine, state: State, target: str, frame: int) -> TargetState:
     """State of a target that may now be anywhere: it has to be recognised, best where it was last."""
-    one = state.targets[target]
+    target_state = state.targets[target]
     rule = _rule_of(engine.plates[state.net.targets[target].template])
-    scored, context = one.scored, one.motion_context
+    scored, context = target_state.scored, target_state.motion_context
     if rule is not None and rule.found_fit is not None and scored.missing is None:
         is_known = len(scored.fits) >= LEAST_FRAMES
         scored = replace(scored, low=0, again=(), missing=frame if is_known else None)
     return replace(
-        one,
-        memory=one.memory.without([kind for kind, _ in STATUS_STREAKS]),
+        target_state,
+        memory=target_state.memory.without([kind for kind, _ in STATUS_STREAKS]),
         motion_context=None if context is None else replace(context, held=None),
         scored=without_motion(scored),
     )
