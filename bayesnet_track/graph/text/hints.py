@@ -60,7 +60,7 @@ def expects(annotation: Any, constraints: Iterable[Any] = ()) -> str:
         words = [shown_name(word) for word in get_args(kind)]
         return words[0] if len(words) == 1 else f"one of {', '.join(words)}"
     if origin is tuple or origin is list:
-        return f"a list, each {expects(get_args(kind)[0])}"
+        return f"a list{_length(get_args(kind), shape.constraints)}, each {expects(get_args(kind)[0])}"
     if origin is not None and issubclass(origin, Mapping):
         return f"a mapping, each {expects(get_args(kind)[1])}"
     if not isinstance(kind, type):
@@ -77,6 +77,24 @@ def expects(annotation: Any, constraints: Iterable[Any] = ()) -> str:
     if any(_get(c, "pattern") for c in shape.constraints):
         return "a letter, then up to 63 letters, digits or _"
     return plain + ",".join(_limits(shape.constraints))
+
+
+def _length(members: tuple[Any, ...], constraints: Iterable[Any]) -> str:
+    """Number of members that a list may have: of a tuple by its type, else by constraints; empty for any."""
+    if len(members) > 1 and Ellipsis not in members:
+        return f" of {len(members)}"
+    bounds = {
+        name: bound
+        for constraint in constraints
+        for name in ("min_length", "max_length")
+        if (bound := _get(constraint, name)) is not None
+    }
+    smallest, largest = bounds.get("min_length"), bounds.get("max_length")
+    if largest is None:
+        return f" of at least {smallest}" if smallest else ""
+    if smallest == largest:
+        return f" of {largest}"
+    return f" of {smallest} to {largest}" if smallest else f" of at most {largest}"
 
 
 def _limits(constraints: Iterable[Any]) -> Iterator[str]:

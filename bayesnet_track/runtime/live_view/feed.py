@@ -33,7 +33,7 @@ class EventBuffer:
     >>> buffer = EventBuffer()
     >>> for line in (b"a", b"bc", b"d"):
     ...     buffer.append(line)
-    >>> buffer.read(1, most=2), buffer.read(1, most=3), len(buffer)
+    >>> buffer.read(1, limit=2), buffer.read(1, limit=3), len(buffer)
     ([b'bc'], [b'bc', b'd'], 3)
 
     Raises:
