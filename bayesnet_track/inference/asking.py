@@ -46,7 +46,7 @@ class Missing:
 
 @dataclass(eq=False)
 class Availability:
-    """Who gives no answer in one frame.
+    """Agents that give no answer in one frame.
 
     An agent that was known to be missing is not asked, so that a run with the same inputs repeats.
 
@@ -62,11 +62,11 @@ class Availability:
 
     @staticmethod
     def of(frame: int, missed: Iterable[AgentMissed]) -> Availability:
-        """Those that are known to be missing in `frame`."""
+        """The agents that are known to be missing in `frame`."""
         return Availability(frame, {(miss.target, miss.node, miss.during): miss.reason for miss in missed})
 
     def misses(self, target: str, agent: str, during: str) -> Missing | None:
-        """Why the agent cannot be asked; None when it can."""
+        """The reason why the agent cannot be asked; None when it can."""
         key = (target, agent, during)
         if key not in self.known:
             return None
@@ -78,12 +78,12 @@ class Availability:
         self.known[target, agent, during] = self.reported[target, agent, during] = reason
 
     def of_target(self, target: str, during: str) -> TargetAvailability:
-        """Those of one target, asked for one thing."""
+        """The agents of one target, asked for one thing."""
         return TargetAvailability(self, target, during)
 
     @property
     def events(self) -> tuple[AgentMissed, ...]:
-        """Those that were missed, in an order that does not depend on when they were found out."""
+        """Events of the missed agents, in an order that does not depend on when they were found out."""
         if not self.reported:
             return ()
         return tuple(
@@ -94,19 +94,19 @@ class Availability:
 
 @dataclass(frozen=True)
 class TargetAvailability:
-    """Who of one target's agents gives no answer, asked for one thing."""
+    """Agents of one target that give no answer, asked for one thing."""
 
     availability: Availability = field(default_factory=Availability)
     target: str = ""
     during: str = ""
 
     def misses(self, agent: str) -> Missing | None:
-        """Why the agent cannot be asked; None when it can."""
+        """The reason why the agent cannot be asked; None when it can."""
         return self.availability.misses(self.target, agent, self.during)
 
     @property
     def missed(self) -> dict[str, str]:
-        """Those that were to be asked, or were found out -> the reason."""
+        """Missing agents that were to be asked, or were found out -> the reason."""
         occasion = (self.target, self.during)
         return {
             agent: reason
@@ -168,7 +168,7 @@ def each_at_once(
 
 
 def defer_faults(ask: Callable[[], Wait[Made]], faults: tuple[type[BaseException], ...]) -> Wait[Made]:
-    """What `ask` returns; where it raises one of `faults`, what raises it when it is waited for."""
+    """The answer of `ask`; where it raises one of `faults`, an answer that raises it when waited for."""
     try:
         return ask()
     except faults as error:
@@ -239,7 +239,7 @@ def follow(
         try:
             rows = cue.follow_each(planes, boxes.copy(), _shown(references), rates)
             if len(rows) == len(references) and _are_finite(rows):
-                return (rows if isinstance(rows, ReferenceRows) else [seal(one) for one in rows]), {}
+                return (rows if isinstance(rows, ReferenceRows) else [seal(learnt) for learnt in rows]), {}
         except FAULTS:  # of whom is found out below
             pass
     updated, faults = list(references), dict[int, Fault]()

@@ -97,7 +97,7 @@ class Fusion:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What to do for one target in one frame.
+    """Steps for one target in one frame.
 
     Attributes:
         target: name of the plate.
@@ -268,8 +268,10 @@ def _fuse(target: CheckedTarget, node: str, messengers: frozenset[str], measurin
     shares = (1.0,) * len(children)
     if fuse.latent is None:
         return Fusion(node, fuse.kind, children, shares, factors=factors)
-    given, form = fuse.latent.given, form_of(target, node, measuring)
-    return Fusion(node, fuse.kind, children, shares, given, form, factors, written=target.givens.get(node))
+    conditional, form = fuse.latent.given, form_of(target, node, measuring)
+    return Fusion(
+        node, fuse.kind, children, shares, conditional, form, factors, written=target.givens.get(node)
+    )
 
 
 def _with_inputs(planes: Iterable[Plane]) -> tuple[Plane, ...]:

@@ -72,7 +72,7 @@ class Weigh:
 
 @dataclass(frozen=True)
 class Flaw:
-    """What was wrong with a factor's values in one frame.
+    """Faults of a factor's values in one frame.
 
     Attributes:
         undefined: hypotheses of which it has no value; they count as impossible.
@@ -87,7 +87,7 @@ class Flaw:
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """What was found of a target's factors in one frame.
+    """Findings about a target's factors in one frame.
 
     Attributes:
         flaws: factor -> what was wrong when it was first evaluated.
@@ -164,7 +164,7 @@ def log_seen(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
 def _names(
     step: Weigh, hypotheses: Hypotheses, parents: Hypotheses, frames: FramePair
 ) -> dict[str, Value | Mask]:
-    """What the names of an expression stand for."""
+    """Values of the names of an expression."""
     return {
         **frames.names,
         **{name: hypotheses.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
@@ -178,7 +178,7 @@ def _names(
 
 @dataclass(eq=False)
 class PairFlaw:
-    """What was wrong with the factor of a pair in one frame; filled in when it is evaluated.
+    """Faults of the factor of a pair in one frame; filled in when it is evaluated.
 
     Attributes:
         undefined: pairs of hypotheses of which it has no value; they count as impossible.
@@ -237,7 +237,7 @@ LEAST_SIDE = 1.0
 
 
 def draw_given(
-    given: Conditional,
+    conditional: Conditional,
     parents: Floats,
     rng: np.random.Generator,
     undefined: MutableMapping[str, Undefined] | None = None,
@@ -248,8 +248,8 @@ def draw_given(
     then says so by field.
     """
     boxes = parents.copy()
-    for column, name, term in _fields(given):
-        parameters = parameters_of(term, _latent_names(given, parents, boxes), len(parents))
+    for column, name, term in _fields(conditional):
+        parameters = parameters_of(term, _latent_names(conditional, parents, boxes), len(parents))
         values = draw(distribution_of(term), parameters, rng)
         is_defined = np.isfinite(values)
         boxes[:, column] = np.where(is_defined, values, parents[:, column])
@@ -260,11 +260,11 @@ def draw_given(
     return boxes
 
 
-def usual_boxes(given: Conditional, parents: Floats) -> Floats:
+def usual_boxes(conditional: Conditional, parents: Floats) -> Floats:
     """(N, 4) own boxes with the median of each field, for parents (N, 4)."""
     boxes = parents.copy()
-    for column, _, term in _fields(given):
-        parameters = parameters_of(term, _latent_names(given, parents, boxes), len(parents))
+    for column, _, term in _fields(conditional):
+        parameters = parameters_of(term, _latent_names(conditional, parents, boxes), len(parents))
         middle = median(distribution_of(term), parameters)
         boxes[:, column] = np.where(np.isfinite(middle), middle, parents[:, column])
         if column >= 2:
@@ -272,7 +272,7 @@ def usual_boxes(given: Conditional, parents: Floats) -> Floats:
     return boxes
 
 
-def linearise_given(given: Conditional, parent: Floats) -> tuple[Floats, Floats, Floats]:
+def linearise_given(conditional: Conditional, parent: Floats) -> tuple[Floats, Floats, Floats]:
     """Own box (4,) at the parent's mean box (4,), its Jacobian (4, 4) by that box, and covariance (4, 4).
 
     c = own + A (h - parent) + noise, by numerical derivatives: exact where means are linear and sds constant.
@@ -280,9 +280,9 @@ def linearise_given(given: Conditional, parent: Floats) -> tuple[Floats, Floats,
     """
     box, by_parent, noise = parent.copy(), np.eye(4), np.zeros((4, 4))
     moves = np.concatenate([np.zeros((1, 8)), STEP * np.eye(8), -STEP * np.eye(8)])
-    for column, _, term in _fields(given):
+    for column, _, term in _fields(conditional):
         parents, mine = parent + moves[:, :4], box + moves[:, 4:]
-        parameters = parameters_of(term, _latent_names(given, parents, mine), len(moves))
+        parameters = parameters_of(term, _latent_names(conditional, parents, mine), len(moves))
         sd = float(parameters[1, 0]) if distribution_of(term) else 0.0
         slopes = (parameters[0, 1:9] - parameters[0, 9:]) / (2.0 * STEP)
         if not (
@@ -297,15 +297,15 @@ def linearise_given(given: Conditional, parent: Floats) -> tuple[Floats, Floats,
     return box, by_parent, noise @ noise.T
 
 
-def log_given(given: Conditional, parents: Floats, boxes: Floats) -> Floats:
+def log_given(conditional: Conditional, parents: Floats, boxes: Floats) -> Floats:
     """(N, M) log p(c_j | h_i) of own boxes (M, 4), for parents (N, 4), over the fields that are drawn.
 
     -inf where a field that has a value, or is the parent's, differs from it.
     """
     log = np.zeros((len(parents), len(boxes)))
-    written = {column: term for column, _, term in _fields(given)}
+    written = {column: term for column, _, term in _fields(conditional)}
     columns = {name: boxes[None, :, k] for k, name in enumerate(BOX_FIELDS)}
-    names = {**_of_parents(parents[:, :, None]), **columns, **given.constants}
+    names = {**_of_parents(parents[:, :, None]), **columns, **conditional.constants}
     for column in range(len(BOX_FIELDS)):
         term = written.get(column)
         if term is None:
@@ -324,13 +324,15 @@ def log_given(given: Conditional, parents: Floats, boxes: Floats) -> Floats:
     return np.where(np.isnan(log), -np.inf, log)
 
 
-def _fields(given: Conditional) -> list[tuple[int, str, Term]]:
-    return [(k, name, given.fields[name]) for k, name in enumerate(BOX_FIELDS) if name in given.fields]
+def _fields(conditional: Conditional) -> list[tuple[int, str, Term]]:
+    return [
+        (k, name, conditional.fields[name]) for k, name in enumerate(BOX_FIELDS) if name in conditional.fields
+    ]
 
 
-def _latent_names(given: Conditional, parents: Floats, boxes: Floats) -> Names:
+def _latent_names(conditional: Conditional, parents: Floats, boxes: Floats) -> Names:
     mine = {name: boxes[:, k] for k, name in enumerate(BOX_FIELDS)}
-    return {**_of_parents(parents), **mine, **given.constants}
+    return {**_of_parents(parents), **mine, **conditional.constants}
 
 
 def _of_parents(parents: Floats) -> dict[str, Floats]:
@@ -339,10 +341,10 @@ def _of_parents(parents: Floats) -> dict[str, Floats]:
 
 def read_as(measured: Measurement, functions: MeasuredAs, frames: FramePair) -> Measurement:
     """The measurement with h: what its quantities would be of states in these frames."""
-    seen = seen_by(measured.fields, functions, frames)
-    choices = tuple((weight, replace(choice, seen=seen)) for weight, choice in measured.choices)
+    quantities = seen_by(measured.fields, functions, frames)
+    choices = tuple((weight, replace(choice, seen=quantities)) for weight, choice in measured.choices)
     errors = None if not functions.errors else errors_by(measured.fields, functions, frames)
-    return replace(measured, seen=seen, choices=choices, errors=errors)
+    return replace(measured, seen=quantities, choices=choices, errors=errors)
 
 
 def errors_by(quantities: Sequence[str], functions: MeasuredAs, frames: FramePair) -> Errors:

@@ -106,7 +106,7 @@ def latent_gaussian(
     gaussians: Mapping[str, tuple[Measurement, float]],
     sampled: Floats | None,
 ) -> Measurement | None:
-    """What a latent node with a Gaussian belief says of its parent's state; None when it says nothing.
+    """Message of a latent node with a Gaussian belief to its parent; None when it says nothing.
 
     Its evidence about its own state c is a Gaussian: the `gaussians` (each with its power) exactly, and the
     (N,) log-likelihood `sampled` at the draws c_j by its moments, posterior over prior: precision
@@ -158,15 +158,15 @@ def _linear(message: Measurement, box: Floats) -> tuple[Floats, Floats, Floats]:
         columns = [k for k, name in enumerate(message.fields) if name in BOX_FIELDS]
         slopes = np.eye(4)[[BOX_FIELDS.index(message.fields[k]) for k in columns]].reshape(len(columns), 4)
         return slopes, message.mean[columns] - slopes @ box, message.covariance[np.ix_(columns, columns)]
-    seen = message.seen
+    quantities = message.seen
 
     def of(boxes: Floats) -> Floats:
-        return seen.function(dict(zip(BOX_FIELDS, boxes.T, strict=True)))
+        return quantities.function(dict(zip(BOX_FIELDS, boxes.T, strict=True)))
 
     expected = of(box[None])[0]
-    slopes = derivative(lambda boxes: expected + seen.less(of(boxes), expected), box)
+    slopes = derivative(lambda boxes: expected + quantities.less(of(boxes), expected), box)
     defined = np.flatnonzero(np.isfinite(expected) & np.isfinite(slopes).all(axis=1))
-    innovation = seen.less(message.mean, expected)
+    innovation = quantities.less(message.mean, expected)
     return slopes[defined], innovation[defined], message.covariance[np.ix_(defined, defined)]
 
 
@@ -232,22 +232,22 @@ def _in_fields(
 
 
 def _by_slopes(
-    given: Conditional,
+    conditional: Conditional,
     boxes: Floats,
     beta: Floats,
     directions: _Directions,
-    known: tuple[Floats, Floats],
+    form: tuple[Floats, Floats],
     floor: float,
 ) -> Measurement | None:
-    """The Gaussian in u, its precision and shift `known`, over the fields of the parent that it depends on.
+    """The Gaussian in u, its precision and shift `form`, over the fields of the parent that it depends on.
 
     Of the parent's `boxes` (N, 4), with weights `beta` (N,), the fields that vary. Directions that it does
     not tell apart have 1e6 times the parent's variance.
     """
-    precision, shift = known
+    precision, shift = form
     parent = beta @ boxes
     sd = np.sqrt(beta @ (boxes - parent) ** 2)
-    box, slopes, noise = linearise_given(given, parent)
+    box, slopes, noise = linearise_given(conditional, parent)
     unshape = directions.unshape
     looks = unshape.T @ slopes * sd  # u = looks (h - parent) / sd + start + noise
     start = unshape.T @ (box - directions.centre)
@@ -396,9 +396,9 @@ def _transfer(parts: list[tuple[float, float]], cell: float, cells: NDArray[np.i
     rows = 2.0 * np.pi * np.fft.fftfreq(cells[0])[:, None]
     columns = 2.0 * np.pi * np.fft.rfftfreq(cells[1])[None]
     square = rows**2 + columns**2
-    taken = 1.0 / 3.0  # cells^2: collecting and reading are triangles of variance 1/6 each
+    sharing = 1.0 / 3.0  # cells^2: collecting and reading are triangles of variance 1/6 each
     terms = [
-        share * np.exp(-0.5 * max((factor / cell) ** 2 - taken, 0.0) * square) for share, factor in parts
+        share * np.exp(-0.5 * max((factor / cell) ** 2 - sharing, 0.0) * square) for share, factor in parts
     ]
     return np.asarray(np.sum(terms, axis=0))
 
@@ -407,14 +407,14 @@ def _convolve(grid: Floats, transfer: Floats) -> Floats:
     return np.asarray(np.fft.irfft2(np.fft.rfft2(grid) * transfer, s=grid.shape))
 
 
-def _keep_agreeing(log_kernel: Floats, given: Noise, above: Floats, own: Floats) -> None:
+def _keep_agreeing(log_kernel: Floats, given: Noise, parent_boxes: Floats, sample_boxes: Floats) -> None:
     """Set (N, N) to -inf where the parent's box i and the sample j differ in a coordinate without noise."""
-    parents, samples = box_coordinates(given, above)[0], box_coordinates(given, own)[0]
+    parents, samples = box_coordinates(given, parent_boxes)[0], box_coordinates(given, sample_boxes)[0]
     for column, has_noise in enumerate(noisy(given)):
         values = parents[:, column]
         if not has_noise and np.ptp(values) > 0:
-            away = np.abs(values[:, None] - samples[:, column])
-            log_kernel[away > 1e-9 * (1.0 + np.abs(values[:, None]))] = -np.inf
+            differences = np.abs(values[:, None] - samples[:, column])
+            log_kernel[differences > 1e-9 * (1.0 + np.abs(values[:, None]))] = -np.inf
 
 
 def _log_sum(log: Floats, axis: int) -> Floats:

@@ -20,7 +20,7 @@ from bayesnet_track.observation.protocols import BOX
 
 @dataclass(frozen=True)
 class Sight:
-    """What can be seen in each mode, in frames of one size.
+    """Visibility in each mode, in frames of one size.
 
     Attributes:
         modes: the modes.
@@ -62,28 +62,30 @@ class Sight:
                 [self.height if name in ("y", "h") else self.width for name in measured.fields], float
             )
         states = {**dict(zip(BOX, hypotheses.boxes.T, strict=True)), **hypotheses.fields}
-        across, down = np.meshgrid([0.0, self.width / 2, self.width], [0.0, self.height / 2, self.height])
-        places = {name: np.full(across.size, values.mean()) for name, values in states.items()}
-        places |= {"x": across.ravel(), "y": down.ravel()}
-        seen = np.concatenate([measured.seen.function(one) for one in (states, places)])
-        seen = np.where(np.isfinite(seen), seen, measured.mean)
-        spans = np.where(measured.seen.periods < np.inf, measured.seen.periods, np.ptp(seen, axis=0))
+        columns, rows = np.meshgrid([0.0, self.width / 2, self.width], [0.0, self.height / 2, self.height])
+        places = {name: np.full(columns.size, values.mean()) for name, values in states.items()}
+        places |= {"x": columns.ravel(), "y": rows.ravel()}
+        quantities = np.concatenate([measured.seen.function(fields) for fields in (states, places)])
+        quantities = np.where(np.isfinite(quantities), quantities, measured.mean)
+        spans = np.where(measured.seen.periods < np.inf, measured.seen.periods, np.ptp(quantities, axis=0))
         return np.asarray(np.maximum(spans, np.sqrt(2.0 * np.pi * np.diag(measured.covariance))))
 
     def message(
-        self, seen: Evidence, step: Observe, hypotheses: Hypotheses, modes: NDArray[np.intp]
+        self, evidence: Evidence, step: Observe, hypotheses: Hypotheses, modes: NDArray[np.intp]
     ) -> Floats:
         """(N,) what an agent says of hypotheses in these modes."""
-        message, measured = seen.messages[step.agent], seen.measured.get(step.agent)
-        if step.agent in seen.measured and measured is None:
+        message, measured = evidence.messages[step.agent], evidence.measured.get(step.agent)
+        if step.agent in evidence.measured and measured is None:
             return message
         if measured is not None and measured.choices:  # the association weighed them against none
             return np.where(np.array(self.modes.hidden)[modes], 0.0, message)
         unseen = self.modes.unseen
         levels = np.array(
             [
-                0.0 if one is None else self.background(one, measured, step.temperature, hypotheses)
-                for one in unseen
+                0.0
+                if background is None
+                else self.background(background, measured, step.temperature, hypotheses)
+                for background in unseen
             ]
         )
         if measured is not None:
@@ -95,16 +97,19 @@ class Sight:
     def log_detected(self, evidence: Evidence) -> Floats:
         """(K,) log-probability that the agents that measure see something, or nothing, as they did."""
         measured = {
-            agent: own
-            for agent, own in evidence.measured.items()
-            if agent not in self.unasked and not (own is not None and own.choices)
+            agent: measurement
+            for agent, measurement in evidence.measured.items()
+            if agent not in self.unasked and not (measurement is not None and measurement.choices)
         }
-        silent = sum(own is None for own in measured.values())
+        silent = sum(measurement is None for measurement in measured.values())
         sighted, missed = len(measured) - silent, self.modes.missed
-        seen = silent * np.log(missed) + sighted * np.log1p(-missed)
+        visible = silent * np.log(missed) + sighted * np.log1p(-missed)
         # What of a measurement is `mistaken` is in its background.
-        rest = [0.0 if one is None else silent * np.log1p(-one.mistaken) for one in self.modes.unseen]
-        return np.where(self.modes.hidden, rest, seen)
+        unseen = [
+            0.0 if background is None else silent * np.log1p(-background.mistaken)
+            for background in self.modes.unseen
+        ]
+        return np.where(self.modes.hidden, unseen, visible)
 
 
 def evaluate_modes(
@@ -118,46 +123,50 @@ def evaluate_modes(
     """
     number = hypotheses.fields[FIELD].astype(np.intp)
     if sight.modes.constants:
-        known = {**hypotheses.fields, **sight.modes.fields(number)}
-        hypotheses = Hypotheses(hypotheses.boxes, known)
-    seen = evaluate(hypotheses, prior_log)
+        fields = {**hypotheses.fields, **sight.modes.fields(number)}
+        hypotheses = Hypotheses(hypotheses.boxes, fields)
+    evidence = evaluate(hypotheses, prior_log)
     if not sight.modes.can_hide:
-        return seen
-    log_detected = sight.log_detected(seen)[number]
+        return evidence
+    log_detected = sight.log_detected(evidence)[number]
     hidden = np.array(sight.modes.hidden)[number]
-    logs = _logs(plan, sight, seen, hypotheses, number)
+    logs = _logs(plan, sight, evidence, hypotheses, number)
     if all(fusion.own == "one" for fusion in plan.fusions):
-        joined = join_messages(plan, logs, seen.measured, seen.latent, hypotheses, prior_log)
+        joined = join_messages(plan, logs, evidence.measured, evidence.latent, hypotheses, prior_log)
         messages = joined.messages
     else:
         # Integrals over a latent node's state are of draws of all hypotheses, as if each could be seen. That
         # of the background, a constant, is its value at the own draw.
         visible = np.full_like(number, sight.modes.hidden.index(False))
-        anywhere = _logs(plan, sight, seen, hypotheses, visible)
-        joined = join_messages(plan, anywhere, seen.measured, seen.latent, hypotheses, prior_log)
-        drawn = replace(plan, fusions=tuple(replace(fusion, own="one") for fusion in plan.fusions))
-        silent = {agent: None for agent, measured in seen.measured.items() if measured is None}
-        unseen = join_messages(drawn, logs, silent, seen.latent, hypotheses, prior_log).messages
+        anywhere = _logs(plan, sight, evidence, hypotheses, visible)
+        joined = join_messages(plan, anywhere, evidence.measured, evidence.latent, hypotheses, prior_log)
+        plain_plan = replace(plan, fusions=tuple(replace(fusion, own="one") for fusion in plan.fusions))
+        silent = {agent: None for agent, measured in evidence.measured.items() if measured is None}
+        unseen = join_messages(plain_plan, logs, silent, evidence.latent, hypotheses, prior_log).messages
         messages = {node: np.where(hidden, unseen[node], log) for node, log in joined.messages.items()}
     total = messages.pop(plan.root, np.zeros(len(hypotheses)))
-    messages = {node: message for node, message in messages.items() if node not in seen.factors}
+    messages = {node: message for node, message in messages.items() if node not in evidence.factors}
     # What was measured is not of what is hidden: all that is said of it counts as sampled.
     sampled = None if joined.sampled is None else np.where(hidden, total, joined.sampled)
-    return _replaced(replace(seen, messages=messages), total, sampled, log_detected)
+    return _replaced(replace(evidence, messages=messages), total, sampled, log_detected)
 
 
 def _logs(
-    plan: Plan, sight: Sight, seen: Evidence, hypotheses: Hypotheses, modes: NDArray[np.intp]
+    plan: Plan, sight: Sight, evidence: Evidence, hypotheses: Hypotheses, modes: NDArray[np.intp]
 ) -> dict[str, Floats]:
     """Agent or factor -> (N,) what it says of hypotheses in these modes."""
-    logs = dict(seen.factors)
+    logs = dict(evidence.factors)
     for step in plan.observations:
-        if step.agent in seen.messages:
+        if step.agent in evidence.messages:
             # What a view measured is of the root's state already.
-            at = hypotheses if plan.view(step.at) is not None else seen.latent.get(step.at, hypotheses)
-            logs[step.agent] = sight.message(seen, step, at, modes)
+            states = (
+                hypotheses if plan.view(step.at) is not None else evidence.latent.get(step.at, hypotheses)
+            )
+            logs[step.agent] = sight.message(evidence, step, states, modes)
     return logs
 
 
-def _replaced(evidence: Evidence, total: Floats, sampled: Floats | None, more: Floats) -> Evidence:
-    return replace(evidence, log_likelihood=total + more, sampled=None if sampled is None else sampled + more)
+def _replaced(evidence: Evidence, total: Floats, sampled: Floats | None, extra: Floats) -> Evidence:
+    return replace(
+        evidence, log_likelihood=total + extra, sampled=None if sampled is None else sampled + extra
+    )

@@ -102,8 +102,10 @@ class Edge:
     def turned(self) -> Edge:
         """The same edge, seen from its second target."""
         factor = self.factor
-        other = None if factor is None else lambda first, second: factor(second, first)
-        return evolve(self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=other)
+        turned_factor = None if factor is None else lambda first, second: factor(second, first)
+        return evolve(
+            self, pair=self.pair[::-1], first_in_front=1.0 - self.first_in_front, factor=turned_factor
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,34 +146,34 @@ class Crowd:
 
     @classmethod
     def of(cls, members: Mapping[str, Member]) -> Crowd:
-        """That of members.
+        """The crowd of the members.
 
         Raises:
             DegenerateWeights: no hypothesis of a target has a positive, finite weight.
         """
         from bayesnet_track.numerics.kernels.speaking_kernels import weigh_members
 
-        several = list(members.values())
-        starts = np.cumsum([0, *(len(one.boxes) for one in several)])
+        ordered = list(members.values())
+        starts = np.cumsum([0, *(len(member.boxes) for member in ordered)])
         prior, prior_log, log = (
             np.concatenate(arrays)
             for arrays in (
-                [one.prior.weights for one in several],
-                [one.prior.log for one in several],
-                [one.log_likelihood for one in several],
+                [member.prior.weights for member in ordered],
+                [member.prior.log for member in ordered],
+                [member.log_likelihood for member in ordered],
             )
         )
-        agents = np.array([one.agents for one in several], dtype=np.int64)
-        tops = np.array([one.top for one in several], dtype=np.float64)
-        (log, losses, bad, seen), (perfect, evidence, worst, best) = weigh_members(
+        agents = np.array([member.agents for member in ordered], dtype=np.int64)
+        tops = np.array([member.top for member in ordered], dtype=np.float64)
+        (log, losses, bad, visible), (perfect, evidence, worst, highest) = weigh_members(
             log, (prior, prior_log), starts, tops, agents, (FARTHEST, STEEP, HALF)
         )
         if not np.isfinite(evidence).all():
             raise DegenerateWeights("no hypothesis of a joined target has a positive, finite weight")
         names = {name: number for number, name in enumerate(members)}
-        boxes = np.concatenate([one.boxes for one in several])
-        each = (boxes, (prior, prior_log), log, losses, bad, seen, _by_place(boxes, starts))
-        return cls(names, starts, *each, evidence, perfect, worst, best, agents)
+        boxes = np.concatenate([member.boxes for member in ordered])
+        each = (boxes, (prior, prior_log), log, losses, bad, visible, _by_place(boxes, starts))
+        return cls(names, starts, *each, evidence, perfect, worst, highest, agents)
 
     def hidden(self, members: Mapping[str, Member], pairs: Sequence[Pair]) -> Floats:
         """(K, 5) what stands for pixels of the first of each pair that the second hides.
@@ -179,14 +181,20 @@ class Crowd:
         The shares that do not match: of hidden pixels, of a box of it on the second, of the worst hypothesis
         and of the best; then its number of agents.
         """
-        level = np.array([one.level for one in members.values()])
+        level = np.array([member.level for member in members.values()])
         losses = np.concatenate([np.maximum(self.perfect - level, 0.0), self.worst, self.best])
-        level, worst, best = bad_shares(losses, np.tile(self.agents, 3)).reshape(3, -1)
-        own = np.array([self.names[first] for first, _ in pairs], dtype=np.intp)
-        said = [members[first].on.get(second, np.nan) for first, second in pairs]
-        away = np.minimum(np.maximum(self.perfect[own] - said, self.best[own]), self.worst[own])
-        on = bad_shares(np.where(np.isnan(said), self.best[own], away), self.agents[own])
-        return np.column_stack([level[own], on, worst[own], best[own], self.agents[own]])
+        level, worst, highest = bad_shares(losses, np.tile(self.agents, 3)).reshape(3, -1)
+        firsts = np.array([self.names[first] for first, _ in pairs], dtype=np.intp)
+        overlaid = [members[first].on.get(second, np.nan) for first, second in pairs]
+        losses_on = np.minimum(
+            np.maximum(self.perfect[firsts] - overlaid, self.best[firsts]), self.worst[firsts]
+        )
+        on_second = bad_shares(
+            np.where(np.isnan(overlaid), self.best[firsts], losses_on), self.agents[firsts]
+        )
+        return np.column_stack(
+            [level[firsts], on_second, worst[firsts], highest[firsts], self.agents[firsts]]
+        )
 
 
 def _by_place(boxes: Floats, starts: Ints) -> Ints:
@@ -196,8 +204,8 @@ def _by_place(boxes: Floats, starts: Ints) -> Ints:
         centres = boxes[:, :2].reshape(len(sizes), sizes[0], 2)
         axes = np.argmax(centres.max(axis=1) - centres.min(axis=1), axis=1)
         return np.argsort(centres[np.arange(len(sizes)), :, axes], axis=1, kind="stable").ravel()
-    pieces = [boxes[first:last] for first, last in pairwise(starts)]
-    return np.concatenate([_by_place(own, np.array([0, len(own)])) for own in pieces])
+    pieces = [boxes[first:end] for first, end in pairwise(starts)]
+    return np.concatenate([_by_place(piece, np.array([0, len(piece)])) for piece in pieces])
 
 
 def bad_shares(losses: Floats, agents: int | Ints) -> Floats:
@@ -244,7 +252,7 @@ class PairBatch:
     def along(
         cls, crowd: Crowd, edges: Sequence[Edge], closing: Sequence[Edge], parents: Mapping[str, str | None]
     ) -> PairBatch:
-        """That of a forest, by the `parents` of its targets, after children, and of edges that close rings.
+        """The batch of a forest, by the `parents` of its targets, after children, and of edges closing rings.
 
         Along these a target says what it believes by itself, and no more.
         """
@@ -254,14 +262,14 @@ class PairBatch:
         to_hearer: dict[str, list[int]] = {name: [] for name in crowd.names}
         for k, (_, hearer) in enumerate(pairs):
             to_hearer[hearer].append(k)
-        alone = 2 * len(closing)
+        closing_count = 2 * len(closing)
         earlier = [
-            [message for message in to_hearer[speaker] if k >= alone and pairs[message][0] != hearer]
+            [message for message in to_hearer[speaker] if k >= closing_count and pairs[message][0] != hearer]
             for k, (speaker, hearer) in enumerate(pairs)
         ]
         downwards = [(parent, name) for name, parent in parents.items() if parent is not None]
         order = [
-            *range(alone),
+            *range(closing_count),
             *(number[edge_or_pair[::-1]] for edge_or_pair in reversed(downwards)),
             *(number[link] for link in downwards),
         ]
@@ -286,34 +294,34 @@ def pass_messages(crowd: Crowd, members: Mapping[str, Member], batch: PairBatch,
     if not batch.pairs:
         return messages
     columns = (crowd.boxes, crowd.losses, crowd.bad, crowd.seen, *crowd.prior, crowd.by_place)
-    pairs, heard = (*batch.ends, batch.at), ragged(batch.before)
+    pairs, incoming = (*batch.ends, batch.at), ragged(batch.before)
     draws = _draw(crowd, batch, keys)
     rules = (
         crowd.hidden(members, batch.pairs),
         crowd.hidden(members, [pair[::-1] for pair in batch.pairs]),
         np.array([(edge.first_in_front, edge.nats) for edge in batch.edges]),
     )
-    given = columns, crowd.starts, crowd.log_evidence, pairs, heard, draws
+    context = columns, crowd.starts, crowd.log_evidence, pairs, incoming, draws
     for is_plain, some in groupby(batch.order, key=lambda k: batch.edges[k].factor is None):
         if is_plain:
-            speak(np.array([*some]), *given, rules, messages)
+            speak(np.array([*some]), *context, rules, messages)
             continue
         for k in some:
-            partners, log_importance, free, taken = ask(k, *given, messages)
+            partners, log_importance, free, blocked = ask(k, *context, messages)
             (speaker, hearer), factor = batch.pairs[k], batch.edges[k].factor
             assert factor is not None
-            own = slice(crowd.starts[batch.ends[0][k]], crowd.starts[batch.ends[0][k] + 1])
-            weight = np.exp(log_importance - crowd.losses[own]) * (free + taken)
+            rows = slice(crowd.starts[batch.ends[0][k]], crowd.starts[batch.ends[0][k] + 1])
+            weight = np.exp(log_importance - crowd.losses[rows]) * (free + blocked)
             ends = members[hearer].states, members[speaker].states
             ratio = related(*ends, factor, partners, weight)
             messages[0, batch.at[k] : batch.at[k] + len(ratio)] = ratio
     return messages
 
 
-def ragged(several: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
+def ragged(lists: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
     """Numbers of several lists below each other: where each list begins, and all of them."""
-    starts = np.cumsum([0, *map(len, several)])
-    return starts, np.array([one for own in several for one in own], dtype=np.int64)
+    starts = np.cumsum([0, *map(len, lists)])
+    return starts, np.array([number for numbers in lists for number in numbers], dtype=np.int64)
 
 
 def _draw(crowd: Crowd, batch: PairBatch, keys: Keys) -> tuple[Floats, Ints, Ints, Ints]:
@@ -340,8 +348,10 @@ def related(
 
     Of a factor that is tiny or huge it is the mean but for a constant, which all hypotheses share.
     """
-    own = {name: values[None] for name, values in hearer.items()}
-    log = np.minimum(factor(own, {name: values[partners] for name, values in speaker.items()}), MOST_LOG)
+    hearer_states = {name: values[None] for name, values in hearer.items()}
+    log = np.minimum(
+        factor(hearer_states, {name: values[partners] for name, values in speaker.items()}), MOST_LOG
+    )
     top = float(log.max())
     if top == -np.inf:
         density = np.ones(partners.shape)
@@ -352,7 +362,7 @@ def related(
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """What the joint belief says of one target.
+    """Marginal of the joint belief for one target.
 
     Attributes:
         log_likelihood: (N,) log of what its own evidence and the other targets say together: the prior
@@ -386,13 +396,14 @@ def joint_marginals(
     crowd = Crowd.of(members)
     batch = PairBatch.along(crowd, edges, closing, parents)
     messages = pass_messages(crowd, members, batch, keys)
-    heard = [batch.heard[name] for name in members]
+    incoming = [batch.heard[name] for name in members]
     log, hides, fronts = conclude(
-        crowd.log_likelihood, crowd.seen, crowd.starts, batch.at, ragged(heard), messages
+        crowd.log_likelihood, crowd.seen, crowd.starts, batch.at, ragged(incoming), messages
     )
     marginals = {
         name: Marginal(
-            log[crowd.starts[m] : crowd.starts[m + 1]], {batch.pairs[k][0]: float(hides[k]) for k in heard[m]}
+            log[crowd.starts[m] : crowd.starts[m + 1]],
+            {batch.pairs[k][0]: float(hides[k]) for k in incoming[m]},
         )
         for m, name in enumerate(members)
     }

@@ -117,17 +117,19 @@ def judge(
         if rates.get(agent, 0.0) <= 0.0 or not isinstance(cue, Cue) or availability.misses(agent) is not None:
             continue
         copies = {name: values.copy() for name, values in lesson.at.fields.items()}
-        at = Hypotheses(lesson.box_of(agent)[None].copy(), copies)
+        hypotheses = Hypotheses(lesson.box_of(agent)[None].copy(), copies)
         try:
-            planes = lesson.planes_of(agent, at.boxes)
+            planes = lesson.planes_of(agent, hypotheses.boxes)
             pair = shown(references[agent]), shown(slow)
-            own, slow_fit = (float(cue.log_likelihood(planes, at, one)[0]) for one in pair)
-            gaps[agent] = own, slow_fit
+            fit, slow_fit = (
+                float(cue.log_likelihood(planes, hypotheses, reference)[0]) for reference in pair
+            )
+            gaps[agent] = fit, slow_fit
         except AgentUnavailable as error:
             availability.note(agent, Missing(str(error)))
         except FAULTS as error:  # as in evaluation: a cue's fault must not end the run
             faults[agent] = f"raised {type(error).__name__} while guarded: {text_of(error)}"
-    parted = {agent for agent, (own, slow) in gaps.items() if own - slow > rule.apart_nats}
+    parted = {agent for agent, (fit, slow) in gaps.items() if fit - slow > rule.apart_nats}
     unchecked = {agent for agent in watched.parted if agent not in gaps}
     return DriftCheck(gaps, frozenset(parted | unchecked), faults)
 
@@ -171,17 +173,17 @@ def guard(
 def changes(
     frame: int,
     target: str,
-    before: SlowReferences,
-    after: SlowReferences,
+    previous: SlowReferences,
+    current: SlowReferences,
     judged: DriftCheck,
     rule: Guard | None,
 ) -> list[Event]:
     """The references that parted in this frame, and those that agree again."""
     events: list[Event] = []
     for agent, (fit, slow) in judged.gaps.items():
-        is_parted = agent in after.parted
-        if rule is not None and is_parted != (agent in before.parted):
-            lasted = 0 if is_parted else before.parted[agent] + 1
+        is_parted = agent in current.parted
+        if rule is not None and is_parted != (agent in previous.parted):
+            lasted = 0 if is_parted else previous.parted[agent] + 1
             events.append(
                 ReferenceGuarded(
                     frame, target, agent, is_parted, fit, slow, rule.apart_nats, rule.pull, lasted
@@ -237,7 +239,7 @@ class LearningInputs:
         return float(self.at.fields[ANGLE][0]) if ANGLE in self.at.fields else 0.0
 
     def availability_for(self, during: str) -> TargetAvailability:
-        """Who gives no answer when asked for one thing."""
+        """Agents that give no answer when asked for one thing."""
         return self.availability.of_target(self.target, during)
 
 

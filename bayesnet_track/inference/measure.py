@@ -294,8 +294,8 @@ def fit_of(messages: Sequence[Floats]) -> float:
     """Largest geometric mean of a hypothesis' likelihood over agents, whose messages (N,) these are."""
     if not messages:
         return 0.0
-    first, *more = (message if len(messages) == 1 else message / len(messages) for message in messages)
-    return float(np.exp(min(float(sum(more, first).max()), 0.0)))
+    first, *remaining = (message if len(messages) == 1 else message / len(messages) for message in messages)
+    return float(np.exp(min(float(sum(remaining, first).max()), 0.0)))
 
 
 def _asks_for_the_dispensable(target: CheckedTarget, governor: str) -> bool:
@@ -405,7 +405,7 @@ def _windows(target: CheckedTarget, node: str) -> set[float]:
     rules = target.inference(node).adapt
     activate = None if rules is None or rules.activate is None else rules.activate.unless
     deactivate = None if rules is None or rules.deactivate is None else rules.deactivate.when
-    tests = [one.concentrated for one in (activate, deactivate) if one is not None]
+    tests = [rule.concentrated for rule in (activate, deactivate) if rule is not None]
     return {test.within_box for test in tests if test is not None}
 
 

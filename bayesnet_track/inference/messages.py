@@ -57,12 +57,12 @@ def evaluate(
     observer: Observer,
     hypotheses: Hypotheses,
     prior_log: Floats,
-    ahead: Mapping[Observe, Answer] = MappingProxyType({}),
+    prepared: Mapping[Observe, Answer] = MappingProxyType({}),
     views: Mapping[str, Hypotheses] | None = None,
 ) -> Evidence:
     """The evidence of the whole net for (N,) hypotheses with normalised prior log-weights.
 
-    Agents whose answers are known `ahead` are not asked; `views` has the hypotheses as cameras see them, if
+    Agents whose answers are `prepared` are not asked; `views` has the hypotheses as cameras see them, if
     they were projected before.
 
     An agent that fails is left out as if it were switched off, and named by the observer: its planes or it
@@ -78,8 +78,8 @@ def evaluate(
     constants: dict[str, float] = {}
     faults: dict[str, str] = {}
     question = Question(hypotheses_of, prior_log, *_regions(plan, hypotheses_of, latent))
-    answers = {**ahead, **known_answers(plan.observations, observer)}
-    answers.update(ask_each(question, observer, [one for one in plan.observations if one not in answers]))
+    answers = {**prepared, **known_answers(plan.observations, observer)}
+    answers.update(ask_each(question, observer, [step for step in plan.observations if step not in answers]))
     for step in plan.observations:
         answer = answers[step]
         remember(step, answer, observer)
@@ -190,7 +190,7 @@ def _at_prediction(
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """What all nodes say.
+    """Messages of all nodes.
 
     Attributes:
         messages: node -> (N,) its message, the agents' and the root's own included.
@@ -219,7 +219,7 @@ def join_messages(
     if not measured and not latent:
         return Joined(join_plain(plan, sent, (len(hypotheses),)), {}, None)
     messages = dict(sent)
-    gaussians = {agent: own for agent, own in measured.items() if own is not None}
+    gaussians = {agent: measurement for agent, measurement in measured.items() if measurement is not None}
     # What of a source's message is not in its Gaussian: all, nothing, or what a latent node's is scaled by.
     rests: dict[str, Floats | float] = {
         agent: 0.0 if agent in gaussians else message for agent, message in sent.items()
@@ -233,14 +233,14 @@ def join_messages(
         total, terms = _fused(weights, messages, powers, len(hypotheses))
         if fusion.kind == "latent":
             assert fusion.given is not None
-            parents, own = _above(plan, fusion.node, latent, hypotheses), latent[fusion.node]
+            parents, draws = _above(plan, fusion.node, latent, hypotheses), latent[fusion.node]
             if fusion.own == "gaussian":
                 exact = {
                     source: (gaussians[source], terms[source]) for source in terms if source in gaussians
                 }
-                sampled = None if len(exact) == len(terms) else _rest(terms, rests, len(own))
+                sampled = None if len(exact) == len(terms) else _rest(terms, rests, len(draws))
                 matched = latent_gaussian(
-                    fusion.written or fusion.given, parents, own, prior_log, exact, sampled
+                    fusion.written or fusion.given, parents, draws, prior_log, exact, sampled
                 )
                 total, scale = _scale(matched, parents, prior_log, total)
                 rests[fusion.node] = scale
@@ -249,18 +249,20 @@ def join_messages(
                     gaussians[fusion.node] = matched if view is None else through(view, matched)
             elif fusion.written is not None:
                 if fusion.own == "kernel":
-                    log_kernel = log_given(fusion.written, parents.boxes, own.boxes)
+                    log_kernel = log_given(fusion.written, parents.boxes, draws.boxes)
                     total = sum_kernel(log_kernel, prior_log, total)
                 rests[fusion.node] = total
             else:
                 means = Hypotheses(part_boxes(fusion.given, parents.boxes), parents.fields)
-                total = INTEGRALS[fusion.own](fusion.given, means, own, prior_log, total)
+                total = INTEGRALS[fusion.own](fusion.given, means, draws, prior_log, total)
                 rests[fusion.node] = total
             terms = {fusion.node: 1.0}
         messages[fusion.node], powers[fusion.node] = total, terms
     at_root = powers.get(plan.root, {})
     reaching = {
-        source: to_power(own, at_root[source]) for source, own in gaussians.items() if source in at_root
+        source: to_power(measurement, at_root[source])
+        for source, measurement in gaussians.items()
+        if source in at_root
     }
     return Joined(messages, reaching, _rest(at_root, rests, len(hypotheses)) if reaching else None)
 
@@ -281,7 +283,7 @@ def _fused(
 
 
 def join_plain(plan: Plan, sent: Mapping[str, Floats], shape: tuple[int, ...]) -> dict[str, Floats]:
-    """As `join_messages` where nothing was measured and no node is latent: products and pools only.
+    """The same as `join_messages` where nothing was measured and no node is latent: products and pools only.
 
     Messages of T targets with one plan may come in one array (T, N), which is their `shape` then.
     """

@@ -49,7 +49,7 @@ CHARGING = Lock()
 
 @dataclass(frozen=True, eq=False)
 class Observer:
-    """What evaluation needs of the world: the frame's planes, the agents' cues and references.
+    """Inputs of evaluation: the frame's planes, the agents' cues and references.
 
     Attributes:
         cache: the planes of this frame.
@@ -91,7 +91,7 @@ class Observer:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What all agents are asked in one evaluation.
+    """The question to all agents in one evaluation.
 
     Attributes:
         at: the root and every latent node -> its hypotheses.
@@ -128,7 +128,7 @@ class Question:
 
 
 def ask_agents(question: Question, observer: Observer, steps: Sequence[Observe]) -> dict[Observe, Answer]:
-    """What the agents of `steps` answer, in their order, remembered; none is asked whose answer is known."""
+    """Answers of the agents of `steps`, in their order, remembered; none is asked whose answer is known."""
     answers = known_answers(steps, observer)
     answers.update(ask_each(question, observer, [step for step in steps if step not in answers]))
     for step in steps:
@@ -165,7 +165,7 @@ def find_known_answer(step: Observe, observer: Observer) -> tuple[Answer] | None
 
 
 def observe(question: Question, observer: Observer, step: Observe) -> Answer:
-    """What an agent that is at work here answers.
+    """Answer of an agent that is at work here.
 
     A text instead of an exception: the cue raised, or returned anything but N log-likelihoods of at most 0,
     one of them above -inf, or a Gaussian over fields of the hypotheses. `Missing` when it gives no answer.
@@ -248,7 +248,7 @@ def _charge(observer: Observer, part: str, start: float) -> float:
 
 
 def _known(step: Observe, hypotheses: Hypotheses) -> tuple[str, ...]:
-    """What an agent may measure."""
+    """Fields that an agent may measure."""
     functions = () if step.functions is None else step.functions.terms
     return (*BOX_FIELDS, *hypotheses.fields, *functions)
 

@@ -94,7 +94,7 @@ def part_of_agents(target: CheckedTarget) -> dict[str, str]:
 
 @dataclass(frozen=True, eq=False)
 class PartBelief:
-    """What is believed of a part.
+    """Belief about a part.
 
     Attributes:
         boxes: (N, 4) its draws, centre boxes, index-aligned with the root's hypotheses.

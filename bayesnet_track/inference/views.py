@@ -46,12 +46,14 @@ class View:
 
     def boxes(self, states: Mapping[str, Floats], agent: str = "") -> Floats:
         """(N, 4) boxes in the image of states, field -> (N,), as the camera shows and `agent` finds them."""
-        at = np.empty((len(states[BOX[0]]), len(BOX)))
+        shifted = np.empty((len(states[BOX[0]]), len(BOX)))
         for column, name in enumerate(BOX):  # a fifth of the time of `np.stack`
-            at[:, column] = states[name]
+            shifted[:, column] = states[name]
         if self.clock is not None:  # it shows how targets were by so much earlier
-            at[:, :2] -= states[self.clock][:, None] * np.stack([states[name] for name in VELOCITY], axis=1)
-        boxes = self.camera.boxes(at)
+            shifted[:, :2] -= states[self.clock][:, None] * np.stack(
+                [states[name] for name in VELOCITY], axis=1
+            )
+        boxes = self.camera.boxes(shifted)
         for error in self.lasting:
             if error.node in (self.node, agent) and not error.is_clock:
                 boxes = boxes + effects(error, boxes) * states[error.field][:, None]
@@ -60,8 +62,8 @@ class View:
     @cached_property
     def clock(self) -> str | None:
         """The field of the state that says by how much the times of its camera are late; None: by nothing."""
-        own = (error.field for error in self.lasting if error.node == self.node and error.axis == CLOCK)
-        return next(own, None)
+        fields = (error.field for error in self.lasting if error.node == self.node and error.axis == CLOCK)
+        return next(fields, None)
 
     def beyond(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """(4,) and (4, 4) what the derivative leaves out of the box of a state N(mean, covariance).
@@ -73,14 +75,14 @@ class View:
             return np.zeros(4), np.zeros((4, 4))
         column = self.column(self.clock, len(mean))
         offset, variance = float(mean[column]), float(covariance[column, column])
-        at, with_speed = mean[None, :4].copy(), covariance[4:6, column]
-        at[:, :2] -= offset * mean[4:6] + with_speed
-        slopes = self.camera.jacobian(at)[0][:, :2]
+        expected, with_speed = mean[None, :4].copy(), covariance[4:6, column]
+        expected[:, :2] -= offset * mean[4:6] + with_speed
+        slopes = self.camera.jacobian(expected)[0][:, :2]
         if not np.isfinite(slopes).all():
             return np.zeros(4), np.zeros((4, 4))
         spread = variance * covariance[4:6, 4:6] + np.outer(with_speed, with_speed)
-        since = self.sd_velocity**2 * (offset**2 + variance) ** 1.5 / 3.0
-        return -slopes @ with_speed, slopes @ (spread + since * np.eye(2)) @ slopes.T
+        drift = self.sd_velocity**2 * (offset**2 + variance) ** 1.5 / 3.0
+        return -slopes @ with_speed, slopes @ (spread + drift * np.eye(2)) @ slopes.T
 
     def column(self, field: str, size: int) -> int:
         """The column of a lasting error in states of so many fields."""
@@ -102,20 +104,20 @@ class View:
 
 def effects(error: LastingError, boxes: Floats) -> Floats:
     """(N, 4) by how much boxes in the image change with an error."""
-    moved = np.zeros_like(boxes)
+    change = np.zeros_like(boxes)
     if error.is_clock:  # it moves what moves, by the velocity: a box alone has none
-        return moved
+        return change
     column = BOX.index(error.axis)
-    moved[:, column] = 1.0 if error.is_shared else boxes[:, 2 + column % 2]
-    return moved
+    change[:, column] = 1.0 if error.is_shared else boxes[:, 2 + column % 2]
+    return change
 
 
 def size_in(frame: Frame, name: str, camera: GroundView) -> tuple[int, int]:
     """Columns and rows of the image of a camera, also where it has no frame at this time."""
-    own = frame.of(name)
-    if own is None:
+    image = frame.of(name)
+    if image is None:
         return camera.size or (frame.width, frame.height)
-    return own.width, own.height
+    return image.width, image.height
 
 
 def visible_boxes(boxes: Floats, frame: tuple[int, int]) -> Floats:
@@ -124,11 +126,11 @@ def visible_boxes(boxes: Floats, frame: tuple[int, int]) -> Floats:
     Sides are at least 1 px.
     """
     size = np.array([*frame, *frame], dtype=np.float64)
-    seen = np.isfinite(boxes).all(axis=1, keepdims=True)
+    is_finite = np.isfinite(boxes).all(axis=1, keepdims=True)
     with np.errstate(invalid="ignore"):
-        held = np.clip(boxes, [-REACH, -REACH, 0.0, 0.0] * size, REACH * size)
-    np.maximum(held[:, 2:], 1.0, out=held[:, 2:])
-    return np.where(seen, held, np.array(UNSEEN))
+        clipped = np.clip(boxes, [-REACH, -REACH, 0.0, 0.0] * size, REACH * size)
+    np.maximum(clipped[:, 2:], 1.0, out=clipped[:, 2:])
+    return np.where(is_finite, clipped, np.array(UNSEEN))
 
 
 AT_BORDER = 1.5
@@ -183,7 +185,7 @@ def through(
         errors = replace(errors, function=lambda states, away: of_boxes(in_image(states), away))
     periods = np.full(len(measured.fields), np.inf) if inner is None else inner.periods
     beyond = None if view.clock is None or measured.fields != BOX or inner is not None else view.beyond
-    choices = tuple((weight, through(view, one, agent, variances)) for weight, one in measured.choices)
+    choices = tuple((weight, through(view, choice, agent, variances)) for weight, choice in measured.choices)
     box = Seen(function, periods, view.shared, beyond)
     if measured.fields == BOX and inner is None:
         cut = cut_covariance(view.camera, measured.mean[None])[0]
@@ -202,7 +204,7 @@ CLOSE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Where boxes in an image stand on the ground.
+    """Places on the ground of boxes in an image.
 
     Attributes:
         which: (M,) the boxes that stand somewhere.
@@ -231,33 +233,33 @@ def place(view: View, boxes: Floats, variances: Floats, sizes: Sizes, agent: str
             lasting[:, :, k] = effects(error, boxes)
     of_lasting = np.array([error.sd**2 for error in view.lasting])
     variances = variances + (lasting**2 @ of_lasting if len(of_lasting) else 0.0)
-    whole = variances[:, :, None] * np.eye(4) + cut_covariance(camera, boxes)
-    precision = np.asarray(np.linalg.inv(whole), dtype=np.float64)
+    covariances_px = variances[:, :, None] * np.eye(4) + cut_covariance(camera, boxes)
+    precision = np.asarray(np.linalg.inv(covariances_px), dtype=np.float64)
     feet = camera.ground_points(np.column_stack([boxes[:, 0], boxes[:, 1] + boxes[:, 3] / 2]))
-    prior = np.array([0.0 if one is None else one[1] ** -2 for one in (None, None, *sizes)])
-    usual = np.array([0.0, 0.0, *(1.0 if one is None else one[0] for one in sizes)])
-    states = np.column_stack([feet, np.tile(usual[2:], (len(boxes), 1))])
+    prior = np.array([0.0 if size is None else size[1] ** -2 for size in (None, None, *sizes)])
+    prior_sizes = np.array([0.0, 0.0, *(1.0 if size is None else size[0] for size in sizes)])
+    states = np.column_stack([feet, np.tile(prior_sizes[2:], (len(boxes), 1))])
     with np.errstate(all="ignore"):
         first = camera.boxes(states)
         for k in (2, 3):
             if sizes[k - 2] is None:
                 states[:, k] *= boxes[:, k] / first[:, k]
-        information, pull = _normal(camera, states, boxes, precision, prior, usual)
+        information, pull = _normal(camera, states, boxes, precision, prior, prior_sizes)
         for _ in range(STEPS):
             step = _solve(information, pull)
             states[:, :2] += step[:, :2]
             states[:, 2:] = np.maximum(states[:, 2:] + step[:, 2:], states[:, 2:] / 4)  # sizes stay positive
-            information, pull = _normal(camera, states, boxes, precision, prior, usual)
+            information, pull = _normal(camera, states, boxes, precision, prior, prior_sizes)
             if not (np.abs(step) > CLOSE).any():
                 break
         covariances = _inverse(information)
-        done = np.abs(_solve(information, pull)).max(axis=1) < 1e-4
-        usable = done & np.isfinite(states).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
+        converged = np.abs(_solve(information, pull)).max(axis=1) < 1e-4
+        usable = converged & np.isfinite(states).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
         usable &= np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]) < FARTHEST
-    which = np.flatnonzero(usable)
-    weighted = np.swapaxes(camera.jacobian(states[which]), 1, 2) @ precision[which]
-    cross = -covariances[which] @ weighted @ lasting[which] * of_lasting
-    return Placed(which, states[which], covariances[which], cross)
+    rows = np.flatnonzero(usable)
+    weighted = np.swapaxes(camera.jacobian(states[rows]), 1, 2) @ precision[rows]
+    cross = -covariances[rows] @ weighted @ lasting[rows] * of_lasting
+    return Placed(rows, states[rows], covariances[rows], cross)
 
 
 FARTHEST = 25.0
@@ -265,13 +267,13 @@ FARTHEST = 25.0
 
 
 def _normal(
-    camera: GroundView, states: Floats, boxes: Floats, precision: Floats, prior: Floats, usual: Floats
+    camera: GroundView, states: Floats, boxes: Floats, precision: Floats, prior: Floats, prior_sizes: Floats
 ) -> tuple[Floats, Floats]:
     """(N, 4, 4) information, and (N, 4) slopes of the log density."""
     slopes = camera.jacobian(states)
     weighted = np.swapaxes(slopes, 1, 2) @ precision
-    away = boxes - camera.boxes(states)
-    pull = (weighted @ away[:, :, None])[:, :, 0] + prior * (usual - states)
+    residual = boxes - camera.boxes(states)
+    pull = (weighted @ residual[:, :, None])[:, :, 0] + prior * (prior_sizes - states)
     return weighted @ slopes + np.diag(prior), pull
 
 
@@ -327,8 +329,8 @@ class Views:
         """The fields of states (N, D) that a box in an image depends on."""
         width = 6 if any(error.is_clock for error in self.lasting) else 4
         columns = dict(zip((*BOX, *VELOCITY)[:width], states[:, :width].T, strict=True))
-        own = states[:, states.shape[1] - len(self.lasting) :].T
-        return columns | {one.field: own[k] for k, one in enumerate(self.lasting)}
+        errors = states[:, states.shape[1] - len(self.lasting) :].T
+        return columns | {error.field: errors[k] for k, error in enumerate(self.lasting)}
 
     def boxes(self, states: Floats, frame: Frame, node: str | None = None) -> Floats:
         """(N, 4) boxes of states (N, D) in the image of a view, by default the first one."""
@@ -343,13 +345,13 @@ class Views:
         """Probability that a target (D,), (D, D) stands where detections may become targets."""
         if self.area is None:
             return 1.0
-        along, across = np.meshgrid(_QUANTILES, _QUANTILES)
+        along, lateral = np.meshgrid(_QUANTILES, _QUANTILES)
         lower = np.linalg.cholesky(covariance[:2, :2] + 1e-12 * np.eye(2))
-        points = np.column_stack([along.ravel(), across.ravel()]) @ lower.T + mean[:2]
+        points = np.column_stack([along.ravel(), lateral.ravel()]) @ lower.T + mean[:2]
         return float(inside_polygon(self.area, *points.T).mean())
 
     def place(self, box: Floats) -> Placed | None:
-        """Where a target in a given centre box (4,) stands; None above the horizon."""
+        """Place of a target in a given centre box (4,); None above the horizon."""
         sds = GIVEN_SD * np.array([box[2], box[3], box[2], box[3]])
         placed = place(self.main, box[None], sds[None] ** 2, self.sizes)
         return placed if len(placed.which) else None
@@ -358,11 +360,11 @@ class Views:
         """(4,) box and (4, 4) covariance in the image of a state N(mean, covariance), by the derivative."""
         box = self.boxes(mean[None], frame)[0]
         slopes = np.zeros((4, len(mean)))
-        at = mean[:4].copy()
+        centre = mean[:4].copy()
         clock = None if (name := self.main.clock) is None else self.main.column(name, len(mean))
         if clock is not None:
-            at[:2] -= mean[clock] * mean[4:6]
-        slopes[:, :4] = self.main.camera.jacobian(at[None])[0]
+            centre[:2] -= mean[clock] * mean[4:6]
+        slopes[:, :4] = self.main.camera.jacobian(centre[None])[0]
         if clock is not None:
             slopes[:, 4:6] = -mean[clock] * slopes[:, :2]
             slopes[:, clock] = -slopes[:, :2] @ mean[4:6]
@@ -379,9 +381,11 @@ def views_of(plate: CheckedTarget) -> Views | None:
     state = plate.spec.state
     if isinstance(state, str) or state.ground is None:
         return None
-    sizes = [None if one is None else (one.mean, one.sd) for one in (state.ground.width, state.ground.height)]
+    sizes = [
+        None if size is None else (size.mean, size.sd) for size in (state.ground.width, state.ground.height)
+    ]
     area = None if state.ground.area is None else np.array(state.ground.area, dtype=np.float64)
-    return Views({one.node: one for one in views_below(plate)}, (sizes[0], sizes[1]), area)
+    return Views({view.node: view for view in views_below(plate)}, (sizes[0], sizes[1]), area)
 
 
 def views_below(plate: CheckedTarget) -> tuple[View, ...]:
@@ -391,6 +395,6 @@ def views_below(plate: CheckedTarget) -> tuple[View, ...]:
     motion = plate.inference(plate.root).motion
     noise = 0.0 if motion is None else float(getattr(motion.settings, "sd_velocity_px", None) or 0.0)
     return tuple(
-        View(node, plate.root, one.camera, one.name, plate.lasting, noise)
-        for node, one in plate.views.items()
+        View(node, plate.root, view.camera, view.name, plate.lasting, noise)
+        for node, view in plate.views.items()
     )
