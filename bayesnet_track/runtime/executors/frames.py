@@ -17,7 +17,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -203,6 +203,10 @@ class HostedFrame:
     has_color: bool
     stride: int
     checksum: int
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Values without the names of the fields: two frames go with each question."""
+        return HostedFrame, tuple(getattr(self, field.name) for field in fields(self))
 
     def frame(self) -> Frame:
         """The frame as the engine has it: black, all pixels in one byte."""
