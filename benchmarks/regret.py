@@ -1,4 +1,4 @@
-"""What a policy for agents on call is worth, beside none, chance, and one that knows the ground truth.
+"""Worth of policies for agents on call, beside none, chance, and one that knows the ground truth.
 
     python benchmarks/regret.py DATA_FOLDER --graph deep --agents network --why WORDS
         [--rule EVERY,AGREE,UD_BOX] [--reserve '{texture: {parent: target, agent: texture}}']
