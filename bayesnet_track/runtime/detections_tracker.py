@@ -34,10 +34,11 @@ from bayesnet_track.runtime.frame_clock import (
     rehearse_detections,
 )
 from bayesnet_track.runtime.given_scans import read_given, read_scans, sensors_of
+from bayesnet_track.runtime.lag import Arrival, LagWindow, SettledStep
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
 from bayesnet_track.runtime.several_cameras import USUAL_SIZE, CamerasFed, blank_image, mark
-from bayesnet_track.runtime.storing import Storable, Turns
+from bayesnet_track.runtime.storing import Storable, StoredError, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
 
@@ -61,11 +62,14 @@ class DetectionsTracker(Storable):
         fps: nominal frames a second: numbers per frame in the graph, such as noise and speeds, count for
             1 / fps s, whenever frames really come (`time_s`). None for 25.
         value_range: the values that become black and white in frames with more than 8 bits; see `Tracker`.
+        lag_s: detections may come up to so many seconds late, in any order: those after them are then tracked
+            anew. What can no longer change is told by `settled`, which should be called now and then.
 
     Raises:
         GraphError: every error of the graph.
         DetectorError: nothing is born from `detections` in it.
-        ValueError: `size` is no size, `fps` no number of frames a second, or `value_range` no range.
+        ValueError: `size` is no size, `fps` no number of frames a second, `value_range` no range, or `lag_s`
+            no time.
 
     Example::
 
@@ -83,6 +87,7 @@ class DetectionsTracker(Storable):
         seed: int = 0,
         fps: float | None = None,
         value_range: ValueRange | None = None,
+        lag_s: float = 0.0,
     ) -> None:
         self._graph, self._seed = load_graph(graph), whole("seed", seed, 0)
         say_unused_by_cues(self._graph)
@@ -90,6 +95,7 @@ class DetectionsTracker(Storable):
         self._clock = FrameClock.of_rate(fps)
         self._turns = Turns(self._kind)
         self._levels = Levels("frame 0", value_range_of(value_range))
+        self._window = LagWindow.opened(lag_s)
         self._renew_engine()
         self._users = image_users(self._engine)
         rehearse_detections(self._graph, self._seed, owners)
@@ -104,10 +110,20 @@ class DetectionsTracker(Storable):
         """
         with self._turns.take("reset"):
             self._now, self._levels = None, Levels("frame 0", self._levels.value_range)
+            self._window = LagWindow.opened(self._lag_s)
 
     def _options(self) -> Mapping[str, Any]:
+        if self._window is not None and self._window.steps:
+            raise StoredError(
+                f"this tracker cannot be stored while {plural(len(self._window.steps), 'step')} within its "
+                f"lag of {self._lag_s:g} s can change; call settled(end=True) before"
+            )
         made_with = {"size": self._sizes, "seed": self._seed, "fps": self._clock.fps}
-        return {**made_with, "value_range": self._levels.value_range}
+        return {**made_with, "value_range": self._levels.value_range, "lag_s": self._lag_s}
+
+    @property
+    def _lag_s(self) -> float:
+        return 0.0 if self._window is None else self._window.lag_s
 
     def _make_again(self, graph: CheckedGraph, options: Mapping[str, Any]) -> None:
         DetectionsTracker.__init__(self, graph, **options)
@@ -191,7 +207,8 @@ class DetectionsTracker(Storable):
                 counts, which then stands for `size`.
             time_s: when the frame was taken, in seconds on the clock of the frames before it; given with all
                 frames or with none. Without it every frame is taken for one that comes a nominal interval
-                after the last one.
+                after the last one. With `lag_s` it is needed, and may lie before that of the last frame; of
+                several cameras or sensors some may come later for the same time.
 
         Raises:
             TypeError: detections without `xyxy`, such as an array.
@@ -199,54 +216,75 @@ class DetectionsTracker(Storable):
             ValueError: boxes that are not (n, 4) numbers, confidences beyond 0..1, no class names for a graph
                 with `labels`, or not one confidence or name for each box; no frame for a graph that looks at
                 it, or one that is no picture or of another size than before; a time that is not later than
-                the last one. The tracker stays as it was.
+                the last one, or with `lag_s` one that is final. The tracker stays as it was.
         """
         refuse_unknown("update", unknown)
         with self._turns.take("update"):
-            previous = self._now
-            clock = (self._clock if previous is None else previous.clock).tick(time_s, ANEW)
-            image, kind = self._image(frame, previous, clock.index)
-            of_cameras = {}
-            current = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
-            if self._cameras is not None:
-                of_cameras = {} if detections is None else self._cameras.read(detections)
-                current = self._cameras.frame(current, of_cameras)
-            elif detections is None:
-                self._fed.scanned, self._fed.now = {}, None
-            elif self._sensors:
-                self._fed.scanned, rows = read_scans(detections, self._sensors)
+            arrival = Arrival(time_s, detections, frame)
+            if self._window is None:
+                self._now, marked = self._advance(self._now, arrival)
             else:
-                boxes = read_given(detections, self._graph).inside(kind.width, kind.height)
-                marked = copy.copy(detections)
-                ids = np.full(boxes.count, NO_TARGET, dtype=np.int64)
-                marked.tracker_id = ids  # what cannot be marked is refused before anything is learnt from it
-                self._fed.now = boxes.detections
-            if previous is None:
-                check_starts(self._graph, [], kind.width, kind.height)
-                outcome = start_targets(self._graph, self._engine, current, [])
-            else:
-                outcome = step(self._engine, previous.state, current)
-            resizing = Resizing.to(kind.width, kind.height, None)
-            self._now = Standing(
-                outcome.state,
-                clock,
-                outcome.metrics,
-                outcome.events,
-                kind,
-                resizing,
-                answers=outcome.answers,
-            )
-            if detections is None:
-                return None
-            if self._cameras is not None:
-                return mark(detections, of_cameras, self._engine, outcome.state, owners_by_share)
-            if self._sensors:
-                return {
-                    agent: owners_by_share(outcome.state, agent, scan, rows[agent], _count(detections[agent]))
-                    for agent, scan in self._fed.scanned.items()
-                }
-            ids[boxes.rows] = owners(boxes.detections.boxes, outcome.metrics)
+                self._window, marked = self._window.extended(arrival, self._advance, self._now, ANEW)
+                self._now = self._window.newest
             return marked
+
+    def settled(self, end: bool = False) -> list[SettledStep]:
+        """Steps that have become final since the last call, in order of time; none without `lag_s`.
+
+        They are the same, to the last bit, in whichever order the detections came within the lag.
+
+        Args:
+            end: nothing comes any more: those within the lag are final, too.
+
+        Raises:
+            RuntimeError: another thread is at work with this tracker.
+        """
+        with self._turns.take("settled"):
+            if self._window is None:
+                return []
+            self._window, steps = self._window.collected(end)
+            return steps
+
+    def _advance(self, previous: Standing | None, arrival: Arrival) -> tuple[Standing, Any]:
+        """The standing after an arrival, and its detections with `tracker_id`."""
+        detections = arrival.detections
+        clock = (self._clock if previous is None else previous.clock).tick(arrival.time_s, ANEW)
+        image, kind = self._image(arrival.frame, previous, clock.index)
+        of_cameras = {}
+        current = Frame(clock.index, clock.time, image, bool(kind.has_color), clock.time_s, None)
+        if self._cameras is not None:
+            of_cameras = {} if detections is None else self._cameras.read(detections)
+            current = self._cameras.frame(current, of_cameras)
+        elif detections is None:
+            self._fed.scanned, self._fed.now = {}, None
+        elif self._sensors:
+            self._fed.scanned, rows = read_scans(detections, self._sensors)
+        else:
+            boxes = read_given(detections, self._graph).inside(kind.width, kind.height)
+            marked = copy.copy(detections)
+            ids = np.full(boxes.count, NO_TARGET, dtype=np.int64)
+            marked.tracker_id = ids  # what cannot be marked is refused before anything is learnt from it
+            self._fed.now = boxes.detections
+        if previous is None:
+            check_starts(self._graph, [], kind.width, kind.height)
+            outcome = start_targets(self._graph, self._engine, current, [])
+        else:
+            outcome = step(self._engine, previous.state, current)
+        resizing = Resizing.to(kind.width, kind.height, None)
+        standing = Standing(
+            outcome.state, clock, outcome.metrics, outcome.events, kind, resizing, answers=outcome.answers
+        )
+        if detections is None:
+            return standing, None
+        if self._cameras is not None:
+            return standing, mark(detections, of_cameras, self._engine, outcome.state, owners_by_share)
+        if self._sensors:
+            return standing, {
+                agent: owners_by_share(outcome.state, agent, scan, rows[agent], _count(detections[agent]))
+                for agent, scan in self._fed.scanned.items()
+            }
+        ids[boxes.rows] = owners(boxes.detections.boxes, outcome.metrics)
+        return standing, marked
 
     def _image(
         self, frame: NDArray[np.uint8] | None, previous: Standing | None, index: int

@@ -106,7 +106,7 @@ class FrameClock:
         if time_s is None:
             seconds = math.nan if self.fps is None else index / self.fps
             return replace(self, index=index, time=float(index), time_s=seconds)
-        seconds = _seconds(time_s)
+        seconds = checked_seconds(time_s)
         if self.first_s is None:
             return replace(self, index=0, time=0.0, time_s=seconds, first_s=seconds)
         time = self._intervals(seconds, self.first_s)
@@ -144,7 +144,8 @@ def refuse_unknown(call: str, unknown: dict[str, Never]) -> None:
         raise TypeError(f"{call}() has no argument {name!r}; the time of a frame, in seconds, is time_s=")
 
 
-def _seconds(time_s: float) -> float:
+def checked_seconds(time_s: float) -> float:
+    """The time of a frame as a float, s; raises ValueError for what is none."""
     seconds = _number(time_s)
     if not 0.0 <= seconds <= MOST_S:
         raise ValueError(
