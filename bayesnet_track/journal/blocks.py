@@ -299,7 +299,7 @@ def boxes_of(metrics: Sequence[FrameMetrics], lost: bool) -> Iterator[NumberedBo
             yield NumberedBoxes(block.frame, ids, corners, scores)
 
 
-TEXTS = ("target", "status", "active", "silent")
+TEXTS = ("target", "status", "active", "silent", "identities")
 """Columns of texts that can be read; `active` and `silent` hold names with blanks between them."""
 BOXES = ("box", "map", "sd", "region50", "region90")
 CLOUD = "cloud"

@@ -35,7 +35,7 @@ CLOUD_POINTS = 600_000
 READ = (
     *(*NUMBERS, *BOXES, "time_s", "angle", "quiet_px2", "status", "active", "silent", CLOUD, "cloud_count"),
     *("ud_nodes/", "kl/", "contribution/", "agent_ud_px2/", "strength/", "modes/", "features/", "parts/"),
-    "queries/",
+    *("queries/", "identities"),
 )
 """Columns of ``frames.npy.gz`` that a page shows."""
 
@@ -54,9 +54,9 @@ def run_data(
 
     Columns of target i are called `i/NAME` with a row per frame of that target; names are those of
     `export --format frames`, with `agents/NODE/...`, `nodes/NODE/...` and `parts/NODE/...` for what is
-    measured of nodes, `modes/MODE` for the probability of a mode, and `queries/NAME` for the numbers that
-    answer a query. Columns `run/...` have a row per line of the timings. Of a long run only some rows are
-    shown, see `choose`.
+    measured of nodes, `modes/MODE` for the probability of a mode, `queries/NAME` for the numbers that answer
+    a query, and `identities/NAME` for the probability that the target is NAME. Columns `run/...` have a row
+    per line of the timings. Of a long run only some rows are shown, see `choose`.
 
     Args:
         events: the journal.
@@ -189,6 +189,7 @@ def _names(rows: Block, blocks: Blocks) -> dict[str, Any]:
         "parts": parts,
         "modes": _bands(rows),
         "queries": _measured(rows, "queries"),
+        "identities": list(dict.fromkeys(name for shares in _identities(rows, blocks) for name in shares)),
         "calibrated": bool(_measured(rows, "features")),
     }
 
@@ -204,6 +205,14 @@ def _measured(rows: Block, field: str) -> list[str]:
     """The nodes for which a field has a value in any row."""
     names = [name for name in rows.columns if name.startswith(f"{field}/")]
     return [name[len(field) + 1 :] for name in names if not is_absent(rows.numbers(name)).all()]
+
+
+def _identities(rows: Block, blocks: Blocks) -> list[dict[str, float]]:
+    """Identities that the target may have, with probabilities, of each row; none where it is not doubtful."""
+    if "identities" not in rows.columns:
+        return []
+    shares = [json.loads(text) if text else {} for text in blocks.texts["identities"].texts]
+    return [shares[code] for code in rows.codes("identities").tolist()]
 
 
 def _watched(rows: Block, blocks: Blocks, name: str) -> NDArray[np.bool_]:
@@ -240,6 +249,11 @@ def _target(rows: Block, names: Mapping[str, Any], blocks: Blocks, points: int) 
     for name in names["modes"]:
         columns[f"modes/{name}"] = _number(rows, f"{'category' if '=' in name else 'modes'}/{name}")
     columns |= {f"queries/{name}": _number(rows, f"queries/{name}") for name in names["queries"]}
+    shares = _identities(rows, blocks) if names["identities"] else []
+    columns |= {
+        f"identities/{name}": short_floats([row.get(name, np.nan) for row in shares])
+        for name in names["identities"]
+    }
     return columns | _clouds(rows, points)
 
 

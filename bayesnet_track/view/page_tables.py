@@ -32,7 +32,7 @@ from bayesnet_track.journal.events.lives import (
 )
 from bayesnet_track.journal.events.load import Released, Toggled
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
-from bayesnet_track.journal.events.statuses import SceneCut, StatusChanged
+from bayesnet_track.journal.events.statuses import IdentityDoubtful, SceneCut, StatusChanged
 from bayesnet_track.journal.net import Decision, Switch, turns_on
 from bayesnet_track.journal.text.sentences import explain, kinds_of, name_targets, split_sentence
 from bayesnet_track.journal.text.story import CallsFolded, fold
@@ -139,7 +139,8 @@ def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> 
     Keys: `frame`; `target`, `other` and `node` where it has them; `kind`, its name in the journal; `sort`:
     switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `state`:
     whether a switch turned the agent on; `status`: the new one; `change` happened, `why`, and what would have
-    prevented it (`unless`), the pieces of its sentence, of which the last two may be empty.
+    prevented it (`unless`), the pieces of its sentence, of which the last two may be empty; `doubt` of an
+    identity: frame since when, probability, and whether two would be swapped.
     """
     _, why, change, prevented = split_sentence(name_targets(explain(event), kinds))
     row: dict[str, Any] = {
@@ -168,6 +169,8 @@ def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> 
         row["status"] = event.status
     if isinstance(event, SceneCut):
         row["status"] = "lost"
+    if isinstance(event, IdentityDoubtful):
+        row["doubt"] = {"since": event.since, "probability": event.probability, "mutual": event.mutual}
     return row
 
 

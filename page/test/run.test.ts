@@ -167,3 +167,26 @@ test("a thinned page shows a frame by the row before it, and counts all frames",
   assert.deepEqual([total!.frames, total!.lost, total!.uncertain], [40, 8, 3]);
   assert.equal(frameCounts(run).withTarget, 40);
 });
+
+test("a doubtful identity is one of both that may be swapped, from where they met", () => {
+  const run = new RunData(header);
+  const what = "identities 4 and 9 could be swapped since frame 3, probability 0.22; decided by appearance +1.8, motion -0.5 nats";
+  const row = { kind: "identity_doubtful", sort: "note" as const, what, target: "4", other: "9" };
+  run.addEvent(event(8, { ...row, doubt: { since: 3, probability: 0.22, mutual: true } }));
+  run.addEvent(event(9, { ...row, other: "2", doubt: { since: 5, probability: 0.6, mutual: false } }));
+  assert.deepEqual(run.doubtsOf("4", 2), []);
+  const reason = "decided by appearance +1.8, motion -0.5 nats";
+  assert.deepEqual(run.doubtsOf("9", 3), [{ other: "4", since: 3, until: 8, probability: 0.22, mutual: true, reason }]);
+  assert.deepEqual(run.doubtsOf("4", 20).map((doubt) => [doubt.other, doubt.until]), [["2", 9], ["9", 8]]);
+  assert.deepEqual(run.doubtsOf("2", 20), []); // it is not there any more
+});
+
+test("identities that a target may have: the most probable one first, none where it is not doubtful", () => {
+  const run = new RunData(header);
+  run.append(line(1));
+  run.append(line(2, { identities: { "9": 0.29, "1": 0.71 } }));
+  run.append(line(3));
+  const track = run.tracks.get("1")!;
+  assert.deepEqual(track.shares(1).map(([name]) => name), ["1", "9"]);
+  assert.deepEqual([track.shares(0), track.shares(2)], [[], []]);
+});

@@ -18,7 +18,7 @@ from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.events.load import Shed, TakenBack, Toggled
 from bayesnet_track.journal.events.runs import RunStarted
-from bayesnet_track.journal.events.statuses import StatusChanged
+from bayesnet_track.journal.events.statuses import IdentityDoubtful, StatusChanged
 from bayesnet_track.journal.events.switches import Activated, Deactivated
 from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.view.page_data import CLOUD_POINTS, read_timings, run_data
@@ -261,6 +261,21 @@ def test_probabilities_of_modes_are_columns_and_the_graph_says_which_hide(make_m
     assert header["targets"][0]["modes"] == ["behind", "seen"]
     assert header["plates"]["ball"]["hidden_modes"] == ["behind"]
     np.testing.assert_array_equal(columns["0/modes/behind"], [np.nan, 0.75])
+
+
+def test_identities_are_columns_of_the_targets_that_may_have_them(make_metrics):
+    shares = {"1": 0.71, "9": 0.29}
+    lines = [make_metrics(frame=0), make_metrics(frame=1, identities=shares), make_metrics(frame=2)]
+    header, columns = run_data([STARTED], lines)
+    assert header["targets"][0]["identities"] == ["1", "9"]
+    np.testing.assert_allclose(columns["0/identities/9"], [np.nan, 0.29, np.nan], atol=1e-4)
+
+
+def test_a_doubtful_identity_says_since_when_and_how_probable():
+    row = event_row(IdentityDoubtful(230, "4", "9", 211, 0.224, 0.776, 1.8, -0.5))
+    assert row["doubt"] == {"since": 211, "probability": 0.224, "mutual": True}
+    assert (row["target"], row["other"]) == ("4", "9")
+    assert row["what"].endswith("; decided by appearance +1.8, motion -0.5 nats")
 
 
 def test_answers_to_queries_are_columns_and_the_header_says_what_was_asked(make_metrics):

@@ -5,7 +5,7 @@
  */
 
 import { Column, type Kind } from "./column";
-import type { About, Counted, EventRow, FrameLine, Header, Plate, Query, Thinned, TimingLine, Written } from "./types";
+import type { About, Counted, Doubt, EventRow, FrameLine, Header, Plate, Query, Thinned, TimingLine, Written } from "./types";
 
 export const STATUSES = ["tracking", "uncertain", "lost", "seen", "hidden", "unwatched"] as const;
 const NUMBERS = ["ud_px2", "score", "log_evidence", "surprise", "ess", "particles", "learn_rate"] as const;
@@ -25,6 +25,8 @@ export class Track {
   modes: string[] = [];
   /** Columns of answers: a query, with `_sd`, `_low`, `_high` for a number, `_count` for all targets, `/ID` for a pair. */
   queries: string[] = [];
+  /** Those of which the target may have the identity, in any frame; columns of probabilities. */
+  identities: string[] = [];
   calibrated = false;
   /** Frames for which a row stands: 1, but in the page of a long run, which holds some rows only. */
   gap = 1;
@@ -87,6 +89,12 @@ export class Track {
     return low;
   }
 
+  /** Whose identity it may have in a row, with probabilities, the most probable one first. */
+  shares(row: number): [string, number][] {
+    const shares = this.identities.map((name): [string, number] => [name, this.value(`identities/${name}`, row)]);
+    return shares.filter(([, share]) => share > 0).sort((a, b) => b[1] - a[1]);
+  }
+
   cloud(row: number): number[][] {
     const start = row > 0 ? this.value("cloud_end", row - 1) : 0;
     const end = this.value("cloud_end", row);
@@ -122,6 +130,8 @@ export class Track {
     for (const mode of this.modes) this.put(`modes/${mode}`, row, "f4", number(line.modes?.[mode]));
     this.queries = union(this.queries, Object.keys(line.queries ?? {}));
     for (const name of this.queries) this.put(`queries/${name}`, row, "f4", number(line.queries?.[name]));
+    this.identities = union(this.identities, Object.keys(line.identities ?? {}));
+    for (const name of this.identities) this.put(`identities/${name}`, row, "f4", number(line.identities?.[name]));
     for (const box of line.cloud) this.put("cloud", -1, "i2", ...box.slice(0, 4));
     this.put("cloud_end", row, "i4", this.columns.get("cloud")?.length ?? 0);
     this.calibrated ||= Object.keys(line.features ?? {}).length > 0;
@@ -236,6 +246,17 @@ export class RunData {
   /** Events of a target, and those that concern no target. */
   eventsOf(target: string): EventRow[] {
     return this.events.filter((e) => e.target === undefined || e.target === target || e.other === target);
+  }
+
+  /** Whom a target may be in a frame, from the frame on in which the two met; the latest meeting first. */
+  doubtsOf(target: string, frame: number): Doubt[] {
+    return this.events.flatMap((event) => {
+      const { doubt } = event;
+      const isOf = event.target === target || (event.other === target && doubt?.mutual === true);
+      if (doubt === undefined || !isOf || doubt.since > frame) return [];
+      const other = event.target === target ? event.other! : event.target!;
+      return [{ ...doubt, other, until: event.frame, reason: event.what.split("; ").slice(1).join("; ") }];
+    }).reverse();
   }
 
   /** IoU of the estimate with the true box; NaN where there is none. */

@@ -14,6 +14,20 @@ export interface EventRow {
   node?: string;
   on?: boolean;
   status?: string;
+  /** Of an identity: the frame in which the two met, the probability, and whether they would be swapped. */
+  doubt?: { since: number; probability: number; mutual: boolean };
+}
+
+/** A doubtful identity as a target sees it: the probability that it is `other`. */
+export interface Doubt {
+  other: string;
+  since: number;
+  /** The frame in which the two were apart for long enough. */
+  until: number;
+  probability: number;
+  mutual: boolean;
+  /** What decided it. */
+  reason: string;
 }
 
 export interface Rule {
@@ -111,7 +125,7 @@ export interface Header {
   run: About;
   plates: Record<string, Plate>;
   queries?: Record<string, Query>;
-  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; modes: string[]; queries: string[]; calibrated: boolean; counted?: Counted }[];
+  targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; modes: string[]; queries: string[]; identities?: string[]; calibrated: boolean; counted?: Counted }[];
   events: EventRow[];
   stages: string[];
   truth_target?: string | null;
@@ -154,6 +168,7 @@ export interface FrameLine {
   angle?: Written;
   modes?: Record<string, Written>;
   queries?: Record<string, Written>;
+  identities?: Record<string, Written>;
 }
 
 /** A line of timings.jsonl. */

@@ -15,6 +15,7 @@ export function Moment({ state }: { state: State }) {
   return (
     <section class="moment" aria-label="This frame" aria-live={state.playing.value || (state.live !== null && state.following.value) ? "off" : "polite"}>
       <Status state={state} />
+      {row >= 0 && <Doubts state={state} />}
       {told.map((event, index) => (
         <Told key={index} state={state} event={event} />
       ))}
@@ -99,6 +100,29 @@ function Afterwards({ state, event }: { state: State; event: EventRow }) {
   );
 }
 
+/** Whom the target may be instead, and what decided it: as links to the other one, and to where they met. */
+function Doubts({ state }: { state: State }) {
+  const [frame, target] = [state.frame.value, state.target.value];
+  void state.version.value;
+  return (
+    <>
+      {state.run.doubtsOf(target, frame).map((doubt, index) => (
+        <p key={index} class="since doubt">
+          could be {doubt.mutual && "swapped with "}
+          <button type="button" disabled={!state.run.tracks.has(doubt.other)} onClick={() => (state.target.value = doubt.other)}>
+            {doubt.other}
+          </button>{" "}
+          since{" "}
+          <button type="button" onClick={() => state.step(doubt.since - frame)}>
+            frame {doubt.since}
+          </button>
+          : <b>{doubt.probability.toFixed(2)}</b>; {doubt.reason}
+        </p>
+      ))}
+    </>
+  );
+}
+
 /** Why the target has been lost or uncertain until now. */
 function Since({ state }: { state: State }) {
   const [track, row, frame] = [state.track.value, state.row.value, state.frame.value];
@@ -149,6 +173,8 @@ function Numbers({ state, track, row }: { state: State; track: Track; row: numbe
     ["learning rate", value("learn_rate"), "0 while UD is above the level"],
     ["time", `${short(state.run.ms("ms", state.frame.value))} ms`, "of the whole step"],
   ];
+  const shares = track.shares(row).slice(0, 2).map(([name, share]) => `${name} ${share.toFixed(2)}`);
+  if (shares.length > 0) items.push(["identity", shares.join(", "), "whose identity the target has, the two most probable ones"]);
   const hidden = state.run.hidden(track, row);
   if (Number.isFinite(hidden)) items.splice(2, 0, ["hidden", hidden.toFixed(2), "probability that the target cannot be seen"]);
   if (Number.isFinite(overlap)) items.splice(2, 0, ["true overlap", overlap.toFixed(2), "IoU with the true box"]);

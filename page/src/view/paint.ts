@@ -90,6 +90,28 @@ export class Painter {
     this.label(track.id, box, "#e8edf3");
   }
 
+  /** A line between two targets that may be each other, with the probability. */
+  doubt(from: number[], to: number[], probability: number): void {
+    const { g } = this;
+    const [ax, ay, bx, by] = [this.x(from[0]!), this.y(from[1]!), this.x(to[0]!), this.y(to[1]!)];
+    if (!Number.isFinite(ax + ay + bx + by)) return;
+    g.save();
+    g.beginPath();
+    g.moveTo(ax, ay);
+    g.lineTo(bx, by);
+    for (const [style, width] of [
+      [HALO, 4],
+      [INK.uncertain, 2],
+    ] as const) {
+      g.strokeStyle = style;
+      g.lineWidth = width;
+      g.stroke();
+    }
+    g.restore();
+    g.font = "600 11px system-ui, sans-serif";
+    this.label(`swapped? ${probability.toFixed(2)}`, [(from[0]! + to[0]!) / 2, Math.max(from[1]! + from[3]! / 2, to[1]! + to[3]! / 2) + 26 / this.view.scale, 0, 0], INK.uncertain);
+  }
+
   private cloud(boxes: number[][]): void {
     const { g } = this;
     g.save();

@@ -177,7 +177,14 @@ function paint(canvas: HTMLCanvasElement, state: State, picture: Picture | null)
     }
   }
   const [track, row] = [state.track.value, state.row.value];
-  if (track !== undefined && row >= 0) painter.target(run, track, row, state.layers.value);
+  if (track !== undefined && row >= 0) {
+    for (const doubt of run.doubtsOf(track.id, frame)) {
+      const other = run.tracks.get(doubt.other);
+      const place = other?.rowOf(frame) ?? -1;
+      if (frame <= doubt.until && place >= 0) painter.doubt(track.values("box", row), other!.values("box", place), doubt.probability);
+    }
+    painter.target(run, track, row, state.layers.value);
+  }
   if (picture !== null && picture.frame !== frame) {
     g.font = "11px system-ui, sans-serif";
     g.textBaseline = "alphabetic";
