@@ -14,7 +14,7 @@ from bayesnet_track.graph.checks.plates import Check, Plate, moving_fields
 from bayesnet_track.graph.checks.sensors import sensors_of
 from bayesnet_track.graph.expressions.distributions import distribution_of, is_proper, moments, parameters_of
 from bayesnet_track.graph.expressions.evaluate import log_values
-from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.parse import parse, parse_value
 from bayesnet_track.graph.expressions.terms import DRAWN, ExpressionError, Term, names_in
 from bayesnet_track.graph.settings.beliefs import AdaptiveSize, EssBelow, NormalSize, Particles
 from bayesnet_track.graph.settings.motion import Motion, Noise
@@ -311,7 +311,7 @@ def noises_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
         for quantity, text in noises_of(plate, node).items():
             key: KeyPath = ("agent", node.agent.cue, "sd", quantity)
             try:
-                term = parse(text, names_of_measures(plate, node), error=True)
+                term = parse_value(text, names_of_measures(plate, node), error=True)
             except ExpressionError as error:
                 message = plate.message(name, error.found, error.allowed, key=key)
                 yield plate.at.inside(explain_name(message, error.word, error.near), error.at)

@@ -22,7 +22,7 @@ from bayesnet_track.graph.checks.plates import (
     moving_fields,
     numbers_of,
 )
-from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.parse import parse, parse_value
 from bayesnet_track.graph.expressions.terms import (
     DRAWN,
     FRAME_NAMES,
@@ -222,7 +222,7 @@ def measures_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
     for name, node in plate.agents.items():
         for quantity, text in node.measures.items():
             try:
-                parse(text, names_of_measures(plate, node))
+                parse_value(text, names_of_measures(plate, node))
             except ExpressionError as error:
                 key = ("measures", quantity)
                 message = plate.message(name, error.found, error.allowed, key=key)

@@ -19,7 +19,7 @@ from bayesnet_track.graph.checks.plates import (
     numbers_of_kinds,
     root_of,
 )
-from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.parse import parse, parse_value
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES, WORDS, ExpressionError, Term, names_in
 from bayesnet_track.graph.settings.motion import BoxVelocity, ByExpressions, Motion, Moving
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
@@ -247,7 +247,7 @@ def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
                     fault = f"{part} of {name!r}, which is no field of the state"
                     yield plate.message(node, fault, fields, key=key, word=name, on_key=True)
                 try:
-                    parse(str(text), names)
+                    parse_value(str(text), names)
                 except ExpressionError as error:
                     message = plate.message(node, error.found, error.allowed, key=key)
                     yield plate.at.inside(with_nearest(message, error.word, error.near), error.at)

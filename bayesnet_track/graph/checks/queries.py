@@ -18,7 +18,7 @@ from bayesnet_track.graph.checks.plates import (
     root_of,
 )
 from bayesnet_track.graph.expressions.evaluate import CONDITIONS
-from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.parse import parse_value
 from bayesnet_track.graph.expressions.terms import (
     FRAME_NAMES,
     FRAME_S,
@@ -79,7 +79,7 @@ def queries_can_be_read(spec: GraphSpec, positions: Positions) -> Iterator[Graph
         for keys, text in query.texts:
             path: KeyPath = ("queries", name, *keys)
             try:
-                term = parse(text, names_in_query(spec, query))
+                term = parse_value(text, names_in_query(spec, query))
             except ExpressionError as error:
                 message = positions.message(path, error.found, error.allowed)
                 yield positions.inside(_explain(message, error, query), error.at)
@@ -103,7 +103,7 @@ def queries_can_be_read(spec: GraphSpec, positions: Positions) -> Iterator[Graph
 def _is_condition(term: Term) -> bool:
     """True of a comparison, or of conditions joined by and, or, not.
 
-    >>> from bayesnet_track.graph.expressions.parse import parse
+    >>> from bayesnet_track.graph.expressions.parse import parse, parse_value
     >>> _is_condition(parse("x > 3 and not y < 2")), _is_condition(parse("where(x > 3, 1, 0)"))
     (True, False)
     """

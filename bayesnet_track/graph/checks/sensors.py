@@ -15,7 +15,7 @@ from bayesnet_track.graph.checks.factors import latent_above, names_at
 from bayesnet_track.graph.checks.plates import Check, Plate
 from bayesnet_track.graph.expressions.distributions import period_of
 from bayesnet_track.graph.expressions.evaluate import values_of
-from bayesnet_track.graph.expressions.parse import parse
+from bayesnet_track.graph.expressions.parse import parse, parse_value
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES, ExpressionError, Term, Variable, names_in
 from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.graph.text.messages import GraphMessage, nearest
@@ -119,7 +119,7 @@ def inverses_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
                 fault = f"inverse of {written!r}, which is no field of the state"
                 yield plate.message(name, fault, state, key=key, word=written, on_key=True)
             try:
-                parse(text, names)
+                parse_value(text, names)
             except ExpressionError as error:
                 message = plate.message(name, error.found, error.allowed, key=key)
                 if error.word:

@@ -11,6 +11,7 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
+from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.graph.expressions.terms import (
     AROUND_0,
     ATOM,
@@ -33,6 +34,7 @@ from bayesnet_track.graph.expressions.terms import (
     Number,
     Term,
     Variable,
+    walk,
 )
 
 MAX_DIGITS = 24
@@ -74,6 +76,25 @@ def parse(
     if isinstance(term, Call) and term.arguments[:1] == (Variable(DRAWN),):
         return term
     return Call("normal", (Variable(DRAWN), Number(0.0), term))
+
+
+def parse_value(text: str, names: Collection[str], *, error: bool = False) -> Term:
+    """The tree of an expression of which the value counts, not its logarithm as in a factor; see `parse`.
+
+    >>> parse_value("x / (2 - 2)", ["x"])
+    Traceback (most recent call last):
+        ...
+    bayesnet_track.graph.expressions.terms.ExpressionError: character 3: x / (2 - 2), a division by 0; ...
+
+    Raises:
+        ExpressionError: as of `parse`; or a part of it has no finite value in any frame, which would make
+            every answer NaN, or a condition certain.
+    """
+    term = parse(text, names, error=error)
+    for part in reversed(list(walk(term))):
+        if isinstance(part, Call):
+            _check_constant(part)
+    return term
 
 
 @dataclass(frozen=True)
@@ -249,6 +270,26 @@ class _Parser:
     def error(self, token: _Token, remedy: str) -> ExpressionError:
         fragment = _END if token.kind == "end" else repr(token.text)
         return ExpressionError(f"{fragment} where the expression goes on", remedy, token.at)
+
+
+def _check_constant(call: Call) -> None:
+    """Refuse a term that has no finite value whatever it reads."""
+    if call.function == "/" and _constant(call.arguments[1]) == 0.0:
+        raise ExpressionError(f"{text_of(call)}, a division by 0", "a divisor other than 0", call.at)
+    value = _constant(call)
+    if value is not None and not math.isfinite(value):
+        noun = "which has no value" if math.isnan(value) else "which is infinite"
+        raise ExpressionError(f"{text_of(call)}, {noun}", "constants with a finite value", call.at)
+
+
+def _constant(term: Term) -> float | None:
+    """The value of a term that reads nothing; None of any other."""
+    parts = [part for part in walk(term) if isinstance(part, Variable | Call)]
+    reads = any(
+        part.name != "pi" if isinstance(part, Variable) else part.function in (MASK, *DENSITIES)
+        for part in parts
+    )
+    return None if reads else float(values_of(term, {"pi": math.pi}))
 
 
 def _finite(token: _Token) -> float:

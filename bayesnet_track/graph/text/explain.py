@@ -139,6 +139,9 @@ def _explain(
         return positions.message(path, f"name {shown(bad)}", expects(Name), on_key=True)
     if kind == "extra_forbidden":
         return _unknown_key(str(innermost.key), owner, parent, path, positions)
+    if kind == "missing" and path and isinstance(path[-1], int):  # a list with too few members
+        fault = f"{_name_of(path[:-1])} is {shown(parent.value)}"
+        return positions.message(path[:-1], fault, _valid_values(steps[:-1]))
     if kind == "missing":
         message = positions.message(path[:-1], f"key {name!r} is missing", _valid_values(steps))
         if owner is not Target or name != "nodes":
