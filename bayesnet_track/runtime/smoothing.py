@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from bisect import bisect_right
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 
@@ -26,8 +28,9 @@ from bayesnet_track.graph.checks.plates import names_of_inputs, numbers_of_kinds
 from bayesnet_track.graph.checks.queries import read_inputs
 from bayesnet_track.inference.queries import compile_query
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.lives import Returned, TargetStarted
+from bayesnet_track.journal.events.lives import CandidateConfirmed, Reacquired, Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
+from bayesnet_track.journal.events.statuses import IdentityDoubtful
 from bayesnet_track.journal.metrics import FrameMetrics, numbers_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
@@ -117,7 +120,7 @@ class SmoothedRun:
     Attributes:
         events: its events; the first says that it is smoothed.
         metrics: a line per target and frame: box, sd, UD, regions and hypotheses are those of the smoothed
-            beliefs, status, score and all else are the filter's.
+            beliefs, identities as they were settled, status, score and all else are the filter's.
     """
 
     events: tuple[Event, ...]
@@ -174,7 +177,7 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
         else line
         for line in run.metrics
     )
-    metrics = tuple(_with_answers(run, metrics, smoothed_beliefs))
+    metrics = tuple(settle_identities(_with_answers(run, metrics, smoothed_beliefs), run.events))
     events = tuple(
         replace(event, smoothed=True) if isinstance(event, RunStarted) else event for event in run.events
     )
@@ -221,6 +224,31 @@ def _with_answers(
             is_smoothed = (line.target, index) in smoothed
             numbers = numbers_of(answers, line.target) if is_smoothed else {}
             yield replace(line, queries={**line.queries, **numbers})
+
+
+def settle_identities(lines: Iterable[FrameMetrics], events: Iterable[Event]) -> Iterator[FrameMetrics]:
+    """The lines with identities as they were settled, from the first frame on in which they are doubtful.
+
+    Until a meeting is settled its probabilities are of the frames so far. Only a meeting, or a recognition,
+    changes an identity: from one to the next, a target has what is known of it at the end of that stretch.
+    """
+    changes: defaultdict[str, set[int]] = defaultdict(set)
+    for event in events:
+        if isinstance(event, IdentityDoubtful):
+            changes[event.target].add(event.since)
+            if event.mutual:
+                changes[event.other].add(event.since)
+        elif isinstance(event, Returned | Reacquired | CandidateConfirmed):
+            changes[event.target].add(event.frame)
+    starts = {target: sorted(frames) for target, frames in changes.items()}
+    ordered = [(line, bisect_right(starts.get(line.target, ()), line.frame)) for line in lines]
+    settled = {(line.target, stretch): line.identities for line, stretch in ordered}
+    doubtful: set[tuple[str, int]] = set()
+    for line, stretch in ordered:
+        if line.identities:
+            doubtful.add((line.target, stretch))
+        is_settled = (line.target, stretch) in doubtful
+        yield replace(line, identities=settled[line.target, stretch]) if is_settled else line
 
 
 def _most_probable(

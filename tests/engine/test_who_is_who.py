@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bayesnet_track import DetectionsTracker, load_graph, track
+from bayesnet_track import DetectionsTracker, load_graph, open_run, track
 from bayesnet_track.engine.compiled import compile_graph
 from bayesnet_track.engine.step import compile_stages
 from bayesnet_track.graph.checked import CheckedGraph
@@ -22,6 +22,7 @@ from bayesnet_track.journal.events.statuses import IdentityDoubtful
 from bayesnet_track.journal.frame_columns import columns_of, lines_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
+from bayesnet_track.runtime.smoothing import smooth
 
 
 def with_identity(name: str = "kalman_detections", **keys: object) -> CheckedGraph:
@@ -129,21 +130,26 @@ def test_a_graph_that_cannot_be_asked_is_refused(name: str, found: str) -> None:
     assert found in str(error.value)
 
 
-def test_the_table_of_tracks_has_the_two_most_probable_identities(tmp_path: Path) -> None:
-    frames, source = ways((24, 36), 1.0), tmp_path / "images"
+def recorded(frames: list[Floats], folder: Path, keep_beliefs: bool = False) -> Path:
+    source = folder / "images"
     source.mkdir()
     rows = [
         f"{step + 1},-1,{x - w / 2:.2f},{y - h / 2:.2f},{w:.2f},{h:.2f},0.9"
         for step, boxes in enumerate(frames)
         for x, y, w, h in boxes
     ]
-    detections = tmp_path / "det.txt"
+    detections = folder / "det.txt"
     detections.write_text("\n".join(rows), encoding="utf-8")
     for step in range(len(frames)):
         cv2.imwrite(str(source / f"{step:06}.png"), np.full((480, 640), 90 + step, np.uint8))
-    out = tmp_path / "run"
-    for _ in track(with_identity(), source, detections=detections, out=out):
+    graph, out = with_identity(), folder / "run"
+    for _ in track(graph, source, detections=detections, out=out, keep_beliefs=keep_beliefs):
         pass
+    return out
+
+
+def test_the_table_of_tracks_has_the_two_most_probable_identities(tmp_path: Path) -> None:
+    out = recorded(ways((24, 36), 1.0), tmp_path)
     with (out / "tracks.csv").open(encoding="utf-8") as file:
         table = [*csv.DictReader(file)]
     doubtful = [row for row in table if row["identity"]]
@@ -153,3 +159,20 @@ def test_the_table_of_tracks_has_the_two_most_probable_identities(tmp_path: Path
         1.0, abs=0.01
     )
     assert '"identity_doubtful"' in (out / "journal.jsonl").read_text(encoding="utf-8")
+
+
+def test_smoothing_gives_identities_as_they_were_settled(tmp_path: Path) -> None:
+    run = open_run(recorded(ways((24, 36), 1.0), tmp_path, keep_beliefs=True))
+    smoothed = smooth(run)
+    (event,) = (event for event in run.events if isinstance(event, IdentityDoubtful))
+    filtered = [line.identities for line in run.metrics if line.target == event.target and line.identities]
+    settled = [line for line in smoothed.metrics if line.target == event.target and line.identities]
+    assert filtered[0] != filtered[-1] and len(settled) == len(filtered)
+    assert {line.identities[event.other] for line in settled} == {filtered[-1][event.other]}
+    assert all(event.since <= line.frame for line in settled)
+
+
+def test_smoothing_leaves_no_doubt_about_a_plain_crossing(tmp_path: Path) -> None:
+    run = open_run(recorded(ways(None, 6.0), tmp_path, keep_beliefs=True))
+    assert any(line.identities for line in run.metrics)
+    assert not any(line.identities for line in smooth(run).metrics)
