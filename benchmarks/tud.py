@@ -1,10 +1,10 @@
 """Many people in a real sequence: MOTA, IDF1 and HOTA of graphs by detections, noisy true ones and real ones.
 
-    python benchmarks/tud.py DATA/mot_TUD-Campus [--seeds 10] [--only noisy|background|motion|hostile]
+    python benchmarks/tud.py DATA/mot_TUD-Campus [--seeds 10] [--only noisy|files|background|motion|hostile]
 
 Noisy detections are drawn from the truth: 15 % are missed, place and size are off by 5 % of the size, and one
-box a frame is somewhere else. The detectors see the pictures only. Tracks are scored as `tracks.txt` would
-hold them: without lines of lost targets.
+box a frame is somewhere else. Files are the folder's `detections_*.txt`. The detectors see the pictures only.
+Tracks are scored as `tracks.txt` would hold them: without lines of lost targets.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre
 from bayesnet_track.observation.detector import Detections, Detector
 from bayesnet_track.runtime.results import FrameSource
 from bayesnet_track.runtime.run import run
-from bayesnet_track.sources.detection_files import FileDetector
+from bayesnet_track.sources.detection_files import FileDetector, file_detector
 from bayesnet_track.sources.frames import SourceItem
 from bayesnet_track.sources.sources import open_source
 
@@ -39,6 +39,7 @@ MISSED, JITTER, CLUTTER = 0.15, 0.05, 1
 
 
 GRAPHS = ("kalman_detections", "people_detections")
+OF_FILES = ("jpda", "kalman_detections", "people_detections", "sort", "bytetrack", "oc_sort")
 VARIANTS = ("as it is", "place alone", "no return")
 
 DETECTORS: dict[str, dict[str, Any]] = {
@@ -139,6 +140,14 @@ def compare(truth: Tracks, source: FrameSource, kind: str, seeds: int) -> None:
             print(f"| {kind} | {name}, {variant} | {row(truth, runs)} |", flush=True)
 
 
+def compare_files(data: Path, truth: Tracks, source: FrameSource) -> None:
+    """Print one line for each graph on each file of detections in a folder."""
+    for path in sorted(data.glob("detections_*.txt")):
+        for name in OF_FILES:
+            runs = [tracked(load_graph(name), source, file_detector(path), 0)]
+            print(f"| {path.name} | {name} | {row(truth, runs)} |", flush=True)
+
+
 def hostile(source: FrameSource) -> None:
     """Print live nets and frames per second under detections that are of no use."""
     rng = np.random.default_rng(0)
@@ -172,7 +181,7 @@ def main() -> None:
     )
     parser.add_argument("data", type=Path)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--only", choices=["noisy", *DETECTORS, "hostile"])
+    parser.add_argument("--only", choices=["noisy", "files", *DETECTORS, "hostile"])
     options = parser.parse_args()
     truth = read_mot_truth(options.data / "gt" / "gt.txt")
     with open_source(str(options.data / "img1")) as opened:
@@ -183,6 +192,8 @@ def main() -> None:
         for kind in ("noisy", *DETECTORS):
             if options.only in (None, kind):
                 compare(truth, source, kind, options.seeds)
+        if options.only in (None, "files"):
+            compare_files(options.data, truth, source)
     if options.only in (None, "hostile"):
         print("\n| detections | graph | nets at most | frames/s |\n|---|---|---:|---:|")
         hostile(source)
