@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
+from bayesnet_track.graph.checks.cameras import AnyCalibration
 from bayesnet_track.graph.settings.queries import Query
 from bayesnet_track.journal.blocks import CLOUD, Block, Blocks, Course, courses
 from bayesnet_track.journal.events.event import Event
@@ -21,6 +22,8 @@ from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.frame_columns import is_absent
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.cameras import Camera
+from bayesnet_track.view.overlay import FARTHEST_M
 from bayesnet_track.view.page_tables import choose, event_rows, plates, short_floats
 
 VERSION = 1
@@ -72,7 +75,8 @@ def run_data(
     start = events[0] if events else None
     if not isinstance(start, RunStarted):
         raise ValueError("the journal does not begin with run_started")
-    blocks = Blocks(metrics, READ)
+    seen_by = {} if graph is None else graph.several_cameras
+    blocks = Blocks(metrics, (*READ, "state/") if seen_by else READ)
     selection = choose(blocks, events)
     templates = {e.target: e.template for e in events if isinstance(e, TargetStarted | Returned)}
     points = max(1, CLOUD_POINTS // max(1, len(selection.rows)))
@@ -85,6 +89,9 @@ def run_data(
         columns |= {
             f"{number}/{name}": column for name, column in _target(rows, names, blocks, points).items()
         }
+        if graph is not None and seen_by and target in templates:
+            on_ground = _on_ground(rows, graph.targets[templates[target]])
+            columns |= {f"{number}/{name}": column for name, column in on_ground.items()}
         targets.append(
             {"id": target, "plate": templates.get(target, ""), **names, **selection.counted(target)}
         )
@@ -104,7 +111,53 @@ def run_data(
         "thinned": selection.about,
         "stages": sorted({name for line in timings for name in line["parts"]}),
     }
+    if graph is not None and seen_by:
+        header["cameras"] = [_camera(graph, name, (start.width, start.height)) for name in seen_by]
     return header, columns
+
+
+def _on_ground(rows: Block, plate: CheckedTarget) -> Columns:
+    """Columns of a target on the ground, which several cameras see.
+
+    `ground` (n, 5): x, y, sd of x, sd of y, m, and their correlation. `cameras/NAME` (n, 4): its centre box
+    in the image of a camera, px, with the mean of the camera's bias; nan where it cannot be seen.
+    """
+    if "state/x_m" not in rows.columns:
+        return {}
+    moments = ("x_m", "y_m", "x_m_sd", "y_m_sd", "xy_corr")
+    columns = {"ground": short_floats(np.stack([rows.numbers(f"state/{name}") for name in moments], axis=1))}
+    states = np.stack([rows.numbers(f"state/{name}_m") for name in ("x", "y", "w", "h")], axis=1)
+    for node, view in plate.views.items():
+        boxes = np.asarray(view.camera.boxes(states), dtype=np.float64)
+        for column, axis in enumerate(("x", "y")):
+            if f"state/{node}.{axis}" in rows.columns:
+                boxes[:, column] += rows.numbers(f"state/{node}.{axis}")
+        boxes[~np.isfinite(boxes).all(axis=1)] = np.nan
+        if view.camera != AnyCalibration()[""].camera:
+            columns[f"cameras/{view.name}"] = short_floats(boxes)
+    return columns
+
+
+def _camera(graph: CheckedGraph, name: str, first_size: tuple[int, int]) -> dict[str, Any]:
+    """A camera as plain data: size of its image, px; where it stands, and what it sees of the ground, m.
+
+    `at` is None where that is not known, and `field`, corners of a polygon, is empty.
+    """
+    camera = graph.calibrations[graph.spec.cameras[name].key].camera
+    if camera == AnyCalibration()[""].camera:
+        return {"name": name, "width": first_size[0], "height": first_size[1], "at": None, "field": []}
+    width, height = camera.size or first_size
+    place = camera.centre[:2].tolist() if isinstance(camera, Camera) else None
+    # From the lowest to the highest pixel of each column of the image that shows the ground near by.
+    columns, rows = np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(height - 1, 0, 90), indexing="ij")
+    ground = camera.ground_points(np.column_stack([columns.ravel(), rows.ravel()])).reshape(25, 90, 2)
+    nearest = np.array(place) if place else np.nanmedian(ground[:, :10].reshape(-1, 2), axis=0)
+    with np.errstate(invalid="ignore"):
+        is_near = np.hypot(*np.moveaxis(ground - nearest, -1, 0)) < FARTHEST_M
+    low = [column[k][0] for column, k in zip(ground, is_near, strict=True) if k.any()]
+    high = [column[k][-1] for column, k in zip(ground, is_near, strict=True) if k.any()]
+    field = [[round(float(x), 3), round(float(y), 3)] for x, y in (*low, *reversed(high))]
+    return {"name": name, "width": width, "height": height, "at": place, "field": field}
 
 
 def read_timings(path: Path) -> list[dict[str, Any]]:

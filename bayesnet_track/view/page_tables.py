@@ -20,6 +20,7 @@ from bayesnet_track.graph.spec import AgentNode, InferenceNode, Level
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.blocks import Block, Blocks
 from bayesnet_track.journal.codec import event_name
+from bayesnet_track.journal.events.cameras import CameraKnocked, ClockLearnt
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.lives import (
@@ -137,7 +138,8 @@ def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> 
     """One event of a frame as plain data; `kinds` names targets by their type.
 
     Keys: `frame`; `target`, `other` and `node` where it has them; `kind`, its name in the journal; `sort`:
-    switch (an agent on or off), life (of a target, or of a pair), status, or note (everything else); `state`:
+    switch (an agent on or off), life (of a target, or of a pair), status, camera, or note (everything else);
+    `camera`: of which camera; `state`:
     whether a switch turned the agent on; `status`: the new one; `change` happened, `why`, and what would have
     prevented it (`unless`), the pieces of its sentence, of which the last two may be empty; `doubt` of an
     identity: frame since when, probability, and whether two would be swapped.
@@ -162,7 +164,7 @@ def event_row(event: Event, kinds: Mapping[str, str] = MappingProxyType({})) -> 
         }
     if isinstance(event, Released):
         row |= {"what": f"{event.node} given back to the rules", "why": ""}
-    row |= {key: getattr(event, key) for key in ("target", "other", "node") if hasattr(event, key)}
+    row |= {key: getattr(event, key) for key in ("target", "other", "node", "camera") if hasattr(event, key)}
     if isinstance(event, Switch):
         row["on"] = turns_on(event)
     if isinstance(event, StatusChanged):
@@ -181,7 +183,7 @@ def _sort(event: Event) -> str:
         return "life"
     if isinstance(event, StatusChanged | SceneCut):
         return "status"
-    return "note"
+    return "camera" if isinstance(event, CameraKnocked | ClockLearnt) else "note"
 
 
 def plates(graph: CheckedGraph, costs_ms: Mapping[str, float]) -> dict[str, dict[str, Any]]:
@@ -199,6 +201,10 @@ def _plate(target: CheckedTarget, costs_ms: Mapping[str, float]) -> dict[str, An
         "agents": agents,
         "rules": _rules(target),
         "ud_unit": "m²" if target.spec.is_ground else "px²",
+        "views": [*target.views],
+        "area": []
+        if isinstance(state := target.spec.state, str) or state.ground is None
+        else [list(corner) for corner in state.ground.area or ()],
         "net": _net(target),
         "hidden_modes": [name for name, mode in (root.modes or {}).items() if mode.hidden is not None],
         "settings": {name: settings_text(target, name) for name in target.spec.nodes},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cache
 from html import escape
@@ -58,53 +58,73 @@ class Pictures:
     annotated: bool = False
 
 
+Images = Iterable[tuple[int, Mapping[str, Image]]]
+"""Frame, and camera -> (H, W, 3) uint8 BGR of those that have one; the only camera is called ""."""
+
+
 def gather(
-    images: Iterable[tuple[int, Image]],
+    images: Images,
     expected: int,
     event_frames: Set[int] = frozenset(),
     budget: int = 7_000_000,
     annotated: bool = False,
-) -> Pictures:
-    """Pictures of `images` (frame, (H, W, 3) uint8 BGR) that take at most `budget` bytes together.
+) -> dict[str, Pictures]:
+    """Pictures of each camera of `images`, which take at most `budget` bytes together, in equal shares.
 
-    Width and step are chosen by the first pictures and the `expected` number of frames, so that one pass over
-    the source is enough. Where they turn out too large, every other picture goes, again and again; those of
-    the frames `event_frames` go last.
+    Width and step are encodings by the first pictures and the `expected` number of frames, so that one pass
+    over the source is enough. Where they turn out too large, every other picture goes, again and again;
+    those of the frames `event_frames` go last.
     """
-    source = iter(images)
-    first = list(islice(source, SAMPLE))
-    if not first:
-        return Pictures((), (), 1, annotated)
-    width, step = _choose(first, expected, budget)
-    pictures: dict[int, bytes] = {}
-    total = 0
-    for frame, image in chain(first, source):
-        if frame % step and frame not in event_frames:
-            continue
-        pictures[frame] = _encode(image, width)
-        total += len(pictures[frame])
-        while total > budget and len(pictures) > 1:
-            step *= 2
-            pictures = _thin(pictures, step, event_frames)
-            total = sum(map(len, pictures.values()))
-    frames = sorted(pictures)
-    return Pictures(tuple(frames), tuple(pictures[frame] for frame in frames), step, annotated)
+    source = _with_content(images)
+    sample = list(islice(source, SAMPLE))
+    cameras = dict.fromkeys(camera for _, views in sample for camera in views)
+    share = budget // max(1, len(cameras))
+    encodings = {}
+    for camera in cameras:
+        of_camera = [views[camera] for _, views in sample if camera in views]
+        encodings[camera] = _choose(of_camera, expected, share)
+    pictures: dict[str, dict[int, bytes]] = {camera: {} for camera in cameras}
+    totals = dict.fromkeys(cameras, 0)
+    for frame, views in chain(sample, source):
+        for camera, image in views.items():
+            width, step = encodings.setdefault(camera, SIZES[-1])
+            encoded = pictures.setdefault(camera, {})
+            if frame % step and frame not in event_frames:
+                continue
+            encoded[frame] = _encode(image, width)
+            totals[camera] = totals.get(camera, 0) + len(encoded[frame])
+            while totals[camera] > share and len(encoded) > 1:
+                step *= 2
+                encoded = _thin(encoded, step, event_frames)
+                totals[camera] = sum(map(len, encoded.values()))
+            encodings[camera], pictures[camera] = (width, step), encoded
+    return {
+        camera: Pictures(tuple(sorted(encoded)), tuple(encoded[k] for k in sorted(encoded)), step, annotated)
+        for (camera, encoded), (_, step) in zip(pictures.items(), encodings.values(), strict=True)
+    }
 
 
-def full_pictures(images: Iterable[tuple[int, Image]]) -> Iterator[tuple[int, bytes]]:
-    """Every frame in its own size, as JPEG."""
+def full_pictures(images: Images) -> Iterator[tuple[int, str, bytes]]:
+    """Every frame of each camera in its own size, as JPEG."""
     import cv2
 
-    for frame, image in images:
-        is_encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, FULL_QUALITY])
-        if is_encoded:
-            yield frame, data.tobytes()
+    for frame, views in _with_content(images):
+        for camera, image in views.items():
+            is_encoded, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, FULL_QUALITY])
+            if is_encoded:
+                yield frame, camera, data.tobytes()
 
 
-def _choose(sample: list[tuple[int, Image]], expected: int, budget: int) -> tuple[int, int]:
+def _with_content(images: Images) -> Iterator[tuple[int, Mapping[str, Image]]]:
+    """The images; of several cameras without those of files of detections, which are black."""
+    for frame, views in images:
+        yield frame, {camera: image for camera, image in views.items() if not camera or image.any()}
+
+
+def _choose(sample: list[Image], expected: int, budget: int) -> tuple[int, int]:
     """The best width and step that are likely to fit, with a margin for harder pictures to come."""
     for width, step in SIZES:
-        mean = sum(len(_encode(image, width)) for _, image in sample) / len(sample)
+        mean = sum(len(_encode(image, width)) for image in sample) / len(sample)
         if 1.15 * mean * expected / step <= budget:
             return width, step
     return SIZES[-1]
@@ -137,37 +157,48 @@ LEAST_ROOM = 500_000
 
 
 def one_file(
-    header: Mapping[str, Any], columns: Columns, pictures: Pictures, without: str = ""
+    header: Mapping[str, Any], columns: Columns, pictures: Mapping[str, Pictures], without: str = ""
 ) -> Iterator[str]:
     """The HTML text, in pieces, with everything in it.
 
     Args:
         header: from `run_data`.
         columns: from `run_data`.
-        pictures: of some or all frames.
+        pictures: camera -> those of some or all frames; the only camera is called "".
         without: why there are none, in words for the reader.
     """
-    ends = np.cumsum([len(data) for data in pictures.data], dtype=np.int64).astype(np.int32)
-    meta = {"where": "file", "step": pictures.step, "annotated": pictures.annotated, "without": without}
-    columns = {
-        **columns,
-        "pictures/frame": np.array(pictures.frames, dtype=np.int32),
-        "pictures/end": ends,
-    }
-    yield from _page({**header, "pictures": meta}, columns, "blob:")
+    main = next(iter(pictures.values()), Pictures((), ()))
+    meta: dict[str, Any] = {"where": "file", "step": main.step, "annotated": main.annotated}
+    meta["without"] = without
+    numbers, start = {}, 0
+    for camera, of_camera in pictures.items():
+        ends = start + np.cumsum([len(data) for data in of_camera.data], dtype=np.int64)
+        numbers[_column("frame", camera)] = np.array(of_camera.frames, dtype=np.int32)
+        numbers[_column("end", camera)] = ends.astype(np.int32)
+        if camera:
+            meta.setdefault("starts", {})[camera] = start
+        start = int(ends[-1]) if len(ends) else start
+    yield from _page({**header, "pictures": meta}, {**columns, **numbers}, "blob:")
     yield '<script type="text/plain" id="run-pictures">'
-    yield base64.b64encode(b"".join(pictures.data)).decode()
+    data = [image for of_camera in pictures.values() for image in of_camera.data]
+    yield base64.b64encode(b"".join(data)).decode()
     yield "</script>\n</body>\n</html>\n"
 
 
 def with_folder(
-    header: Mapping[str, Any], columns: Columns, frames: tuple[int, ...], annotated: bool = False
+    header: Mapping[str, Any], columns: Columns, frames: Mapping[str, Sequence[int]], annotated: bool = False
 ) -> Iterator[str]:
-    """The HTML text of a page whose pictures lie beside it, as `picture_name` names them."""
+    """The HTML text of a page whose pictures, of `frames` of each camera, lie where `picture_name` says."""
     meta = {"where": "folder", "step": 1, "annotated": annotated, "without": ""}
-    columns = {**columns, "pictures/frame": np.array(frames, dtype=np.int32)}
-    yield from _page({**header, "pictures": meta}, columns, "'self' file: blob:")
+    numbers = {
+        _column("frame", name): np.array(of_camera, dtype=np.int32) for name, of_camera in frames.items()
+    }
+    yield from _page({**header, "pictures": meta}, {**columns, **numbers}, "'self' file: blob:")
     yield "</body>\n</html>\n"
+
+
+def _column(name: str, camera: str) -> str:
+    return f"pictures/{camera}/{name}" if camera else f"pictures/{name}"
 
 
 def room_for_pictures(header: Mapping[str, Any], columns: Columns, largest: int = LARGEST) -> int:
@@ -184,9 +215,9 @@ def is_page(place: Path) -> bool:
         return GENERATOR.encode() in file.read(2048)
 
 
-def picture_name(frame: int) -> str:
-    """Path of a frame's picture, from the page's folder."""
-    return f"{FRAMES_FOLDER}/{frame:06d}.jpg"
+def picture_name(frame: int, camera: str = "") -> str:
+    """Path of a frame's picture, from the page's folder; those of several cameras have folders."""
+    return "/".join(part for part in (FRAMES_FOLDER, camera, f"{frame:06d}.jpg") if part)
 
 
 def live_page() -> tuple[bytes, str]:

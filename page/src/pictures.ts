@@ -13,8 +13,8 @@ export interface Pictures {
   /** Why there are none, in words; empty where there are some. */
   readonly without: string;
   readonly annotated: boolean;
-  /** The picture of a frame, or of the nearest earlier one that has one. */
-  of(frame: number): Promise<Picture | null>;
+  /** The picture of a frame in a camera, or of the nearest earlier one that has one. */
+  of(frame: number, camera?: string): Promise<Picture | null>;
 }
 
 export function none(without: string): Pictures {
@@ -46,38 +46,50 @@ class Shelf {
 
 export async function picturesOf({ header, columns }: Opened): Promise<Pictures> {
   const about = header.pictures;
-  const frames = columns.get("pictures/frame");
-  if (about === undefined || frames === undefined || frames.length === 0) return none(about?.without ?? "");
-  const make = about.where === "folder" ? fromFolder(frames) : await fromFile(columns.get("pictures/end")!);
-  const shelf = new Shelf(make);
+  const cameras = ["", ...(header.cameras ?? []).map((camera) => camera.name)];
+  const shelves = new Map<string, { frames: Column; shelf: Shelf }>();
+  const bytes = about?.where === "file" ? await embedded() : null;
+  for (const camera of cameras) {
+    const part = camera === "" ? "" : `${camera}/`;
+    const frames = columns.get(`pictures/${part}frame`);
+    if (about === undefined || frames === undefined || frames.length === 0) continue;
+    const ends = columns.get(`pictures/${part}end`);
+    const make = bytes === null ? fromFolder(frames, part) : fromFile(bytes, ends!, about.starts?.[camera] ?? 0);
+    shelves.set(camera, { frames, shelf: new Shelf(make) });
+  }
+  if (about === undefined || shelves.size === 0) return none(about?.without ?? "");
   return {
     without: "",
     annotated: about.annotated,
-    async of(frame) {
-      let row = lastAtMost(frames, frame);
-      if (row < 0) row = 0;
-      const image = await shelf.get(row);
-      return image === null ? null : { image, frame: frames.at(row) };
+    async of(frame, camera = "") {
+      const found = shelves.get(camera);
+      if (found === undefined) return null;
+      const row = Math.max(0, lastAtMost(found.frames, frame));
+      const image = await found.shelf.get(row);
+      return image === null ? null : { image, frame: found.frames.at(row) };
     },
   };
 }
 
-async function fromFile(ends: Column): Promise<(row: number) => Promise<CanvasImageSource>> {
-  // They stand behind the script, so that the page is there before they are read.
+/** All pictures that stand in the file, behind the script, so that the page is there before they are read. */
+async function embedded(): Promise<Uint8Array<ArrayBuffer>> {
   if (document.readyState === "loading") {
     await new Promise((done) => document.addEventListener("DOMContentLoaded", done, { once: true }));
   }
-  const bytes = bytesOf(document.getElementById("run-pictures")?.textContent ?? "");
+  return bytesOf(document.getElementById("run-pictures")?.textContent ?? "");
+}
+
+function fromFile(bytes: Uint8Array<ArrayBuffer>, ends: Column, start: number): (row: number) => Promise<CanvasImageSource> {
   return (row) => {
-    const picture = bytes.subarray(row > 0 ? ends.at(row - 1) : 0, ends.at(row));
+    const picture = bytes.subarray(row > 0 ? ends.at(row - 1) : start, ends.at(row));
     return createImageBitmap(new Blob([picture], { type: "image/jpeg" }));
   };
 }
 
-function fromFolder(frames: Column): (row: number) => Promise<CanvasImageSource> {
+function fromFolder(frames: Column, part: string): (row: number) => Promise<CanvasImageSource> {
   return async (row) => {
     const image = new Image();
-    image.src = `frames/${String(frames.at(row)).padStart(6, "0")}.jpg`;
+    image.src = `frames/${part}${String(frames.at(row)).padStart(6, "0")}.jpg`;
     await image.decode();
     return image;
   };

@@ -6,7 +6,7 @@ import type { RunData, Track } from "./data/run";
 import type { EventRow } from "./data/types";
 import type { Pictures } from "./pictures";
 
-export type Layer = "cloud" | "regions" | "map" | "parts" | "truth" | "others" | "shapes";
+export type Layer = "cloud" | "regions" | "map" | "parts" | "truth" | "others" | "shapes" | "ellipses" | "trails" | "fields";
 
 export class State {
   readonly frame = signal(0);
@@ -18,9 +18,11 @@ export class State {
   /** First and last frame of the timelines. */
   readonly stretch = signal<[number, number]>([0, 0]);
   readonly layers = signal<ReadonlySet<Layer>>(
-    new Set<Layer>(["cloud", "regions", "map", "parts", "truth", "others", "shapes"]),
+    new Set<Layer>(["cloud", "regions", "map", "parts", "truth", "others", "shapes", "ellipses", "trails", "fields"]),
   );
   readonly close = signal(false);
+  /** Of several cameras the one that is large, or "ground"; empty: none. */
+  readonly camera = signal("");
   readonly help = signal(false);
   readonly notes = signal(false);
   /** Counts the batches that were added to the run. */

@@ -294,7 +294,7 @@ def write_page():
         count = min(len(metrics), room_for_pictures(header, columns) // len(data))
         step = -(-len(metrics) // count)
         shown = tuple(line.frame for line in metrics[::step])
-        text = "".join(one_file(header, columns, Pictures(shown, (data,) * len(shown), step)))
+        text = "".join(one_file(header, columns, {"": Pictures(shown, (data,) * len(shown), step)}))
         path.write_text(text, encoding="utf-8")
         return path
 

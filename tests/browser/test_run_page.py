@@ -1,5 +1,6 @@
 """The page of a run in a real browser: it opens, scrubs, explains, obeys the keyboard, and asks nobody."""
 
+import csv
 import json
 import statistics
 from dataclasses import replace
@@ -385,3 +386,46 @@ def test_a_band_shows_the_probability_of_each_mode(browser, tmp_path):
     (hidden,) = (text.split() for text in numbers if text.startswith("hidden"))
     assert float(hidden[1]) == round(last.hidden, 2)
     assert browser.complaints() == []
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE])
+def test_several_cameras_and_the_ground_stand_side_by_side_and_say_who_was_knocked(browser, demo, size):
+    browser.open(demo("room_knocked"), size, hash="#frame=110")
+    browser.wait_for_frame(110)
+    names = browser.run("return [...document.querySelectorAll('.tile button')].map(b => b.innerText)")
+    assert names == ["north", "east", "west", "ground"]
+    inked = browser.run(
+        "return [...document.querySelectorAll('.tile canvas')].map(c => { const d ="
+        " c.getContext('2d').getImageData(0, 0, c.width, c.height).data, inks = new Set();"
+        " for (let k = 0; k < d.length; k += 4) inks.add(d[k] << 16 | d[k + 1] << 8 | d[k + 2]);"
+        " return ['6fd3ff', 'ffc933', '4ade9b', 'ff8a65', 'c7a6ff'].map(i => inks.has(parseInt(i, 16))) })"
+    )
+    assert (
+        inked == [[True] * 5] * 4
+    )  # each of the five targets in its colour, in every camera and on the ground
+    assert "camera west is" in text_of(browser, ".events")
+    assert " m²" in text_of(browser, ".numbers")
+    wide = browser.run("return document.querySelector('.ground canvas').clientWidth")
+    browser.click(".ground button")
+    browser.wait(f"return document.querySelector('.ground canvas').clientWidth > {wide}")
+    assert browser.run("return document.querySelector('.ground button').ariaPressed") == "true"
+    assert browser.run("return document.documentElement.scrollWidth") <= size[0]
+    assert browser.complaints() == []
+
+
+def test_a_target_is_chosen_in_the_image_of_any_camera(browser, demo):
+    browser.open(demo("room_knocked"), hash="#frame=110&target=1")
+    browser.wait_for_frame(110)
+    with (demo("room_knocked").parent / "cameras.csv").open() as file:
+        (row,) = [
+            r for r in csv.DictReader(file) if (r["frame"], r["camera"], r["target"]) == ("110", "east", "5")
+        ]
+    x, y = float(row["x"]) + float(row["w"]) / 2, float(row["y"]) + float(row["h"]) / 2
+    browser.run(
+        "const c = document.querySelectorAll('.tile canvas')[1], r = c.getBoundingClientRect();"
+        "c.dispatchEvent(new MouseEvent('click', {bubbles: true,"
+        " clientX: r.left + arguments[0] / 640 * r.width, clientY: r.top + arguments[1] / 360 * r.height}))",
+        x,
+        y,
+    )
+    browser.wait("return document.querySelector('.targets [aria-pressed=true]').innerText.includes('5')")

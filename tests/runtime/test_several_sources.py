@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import csv
 import re
 
@@ -15,6 +16,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.recording.run_reader import open_run
 from bayesnet_track.sources.paths import SourceError
+from bayesnet_track.view.page_tables import unpack
 from tests.engine.test_several_cameras import CAMERAS, boxes_of, write_graph
 
 COUNT, PLACE = 20, np.array([-2.0, 9.0])
@@ -117,6 +119,66 @@ def test_videos_of_the_cameras(room, tmp_path):
         main(["run", str(room), *options_of(detections_in(room)), "--out", str(boxes_only), "--quiet"]) == 0
     )
     assert (out / "tracks.csv").read_bytes() == (boxes_only / "tracks.csv").read_bytes()
+    header, columns, data = page_of(out)
+    for camera, rate in RATES.items():
+        steps, ends = columns[f"pictures/{camera}/frame"], columns[f"pictures/{camera}/end"]
+        starts = [header["pictures"]["starts"][camera], *ends[:-1]]
+        levels = [
+            float(cv2.imdecode(np.frombuffer(data[start:end], np.uint8), cv2.IMREAD_COLOR).mean())
+            for start, end in zip(starts, ends, strict=True)
+        ]
+        frames = np.arange(1, COUNT * rate // 20)  # the first one is black, as that of detections alone
+        np.testing.assert_array_equal(steps, frames * 20 // rate)
+        np.testing.assert_allclose(levels, 10 * frames, atol=4)
+    folder = tmp_path / "whole"
+    assert main(["report", str(out), "--frames", "full", "--out", str(folder)]) == 0
+    for camera, rate in RATES.items():
+        names = sorted(path.name for path in (folder / "frames" / camera).iterdir())
+        assert names == [f"{step:06d}.jpg" for step in range(20 // rate, COUNT, 20 // rate)]
+
+
+def page_of(run):
+    """Header, columns and pictures of the page of a run."""
+    assert main(["report", str(run)]) == 0
+    text = (run / "report.html").read_text(encoding="utf-8")
+    data, pictures = (
+        base64.b64decode(re.search(f'id="run-{name}">([^<]*)<', text)[1]) for name in ("data", "pictures")
+    )
+    return *unpack(data), pictures
+
+
+def test_the_page_has_the_boxes_of_each_camera_and_the_ground_in_metres(room, tmp_path):
+    out = tmp_path / "run"
+    assert main(["run", str(room), *options_of(detections_in(room)), "--out", str(out), "--quiet"]) == 0
+    header, columns, pictures = page_of(out)
+    assert pictures == b"" and header["pictures"]["without"] == "the sources of the run have none"
+    with (out / "tracks.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["target"] == "1"]
+    fields = ("x_m", "y_m", "x_m_sd", "y_m_sd", "xy_corr")
+    expected = [[float(row[field]) for field in fields] for row in rows]
+    np.testing.assert_allclose(columns["0/ground"], expected, rtol=1e-4, atol=1e-6)
+    frames = columns["0/frame"].tolist()
+    with (out / "cameras.csv").open() as file:
+        for row in csv.DictReader(file):
+            x, y, w, h = (float(row[name]) for name in "xywh")
+            box = columns[f"0/cameras/{row['camera']}"][frames.index(int(row["frame"]))]
+            np.testing.assert_allclose(box, [x + (w - 1) / 2, y + (h - 1) / 2, w, h], rtol=1e-4, atol=0.01)
+    for entry in header["cameras"]:
+        camera = CAMERAS[entry["name"]]
+        np.testing.assert_allclose(entry["at"], -camera.rotation.T[:2] @ camera.translation, atol=1e-9)
+        field = np.array(entry["field"])
+        pixels = camera.project(np.column_stack([field, np.zeros(len(field))]))
+        assert (pixels > -1.0).all() and (pixels < np.array(camera.size)).all() and len(field) > 20
+
+
+def test_a_page_without_the_calibrations_shows_no_boxes_of_them(room, tmp_path):
+    out = tmp_path / "run"
+    assert main(["run", str(room), *options_of(detections_in(room)), "--out", str(out), "--quiet"]) == 0
+    for source in open_run(out).spec.cameras.values():
+        (room.parent / source.calibration).unlink(missing_ok=True)
+    header, columns, _ = page_of(out)
+    assert [(entry["at"], entry["field"]) for entry in header["cameras"]] == [(None, [])] * 2
+    assert "0/ground" in columns and not any("/cameras/" in name for name in columns)
 
 
 WRONG = {

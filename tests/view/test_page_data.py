@@ -199,31 +199,31 @@ def test_timings_end_at_the_first_damaged_line(tmp_path):
 def noise(count, size=(60, 80)):
     rng = np.random.default_rng(3)
     for frame in range(count):
-        yield frame, rng.integers(0, 255, (*size, 3), dtype=np.uint8)
+        yield frame, {"": rng.integers(0, 255, (*size, 3), dtype=np.uint8)}
 
 
 def test_pictures_keep_to_the_budget_and_to_the_frames_of_events():
     # Noise packs badly: far more than the budget at every size.
-    pictures = gather(noise(40), 40, event_frames={7, 13}, budget=30_000)
+    pictures = gather(noise(40), 40, event_frames={7, 13}, budget=30_000)[""]
     assert sum(map(len, pictures.data)) <= 30_000
     assert {7, 13} <= set(pictures.frames) and list(pictures.frames) == sorted(pictures.frames)
     assert 2 < len(pictures.frames) < 40 and pictures.step > 1
 
 
 def test_with_room_every_frame_has_a_picture_of_its_own_size():
-    pictures = gather(noise(9), 9)
+    pictures = gather(noise(9), 9)[""]
     assert pictures.frames == tuple(range(9)) and pictures.step == 1
     image = cv2.imdecode(np.frombuffer(pictures.data[0], np.uint8), cv2.IMREAD_COLOR)
     assert image.shape == (60, 80, 3)
 
 
 def test_a_source_without_frames_gives_no_pictures():
-    assert gather(iter([]), 5) == Pictures((), ())
+    assert gather(iter([]), 5) == {}
 
 
 def test_whole_frames_are_close_to_what_was_seen():
     image = np.full((20, 30, 3), (40, 90, 200), np.uint8)
-    ((frame, data),) = full_pictures([(4, image)])
+    ((frame, _, data),) = full_pictures([(4, {"": image})])
     shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert frame == 4 and np.abs(shown.astype(int) - image).max() < 6
 
@@ -233,7 +233,7 @@ def test_whole_frames_are_close_to_what_was_seen():
 
 def test_the_policy_names_the_very_script_and_style_and_no_address(make_metrics):
     header, columns = run_data([STARTED], [make_metrics(frame=0)])
-    page = "".join(one_file(header, columns, Pictures((0,), (b"abc",))))
+    page = "".join(one_file(header, columns, {"": Pictures((0,), (b"abc",))}))
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page).group(1).replace("&#x27;", "'")
     for tag in ("script", "style"):
         text = re.search(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL).group(1)
@@ -249,7 +249,7 @@ def test_names_are_escaped():
     hostile = "</title><script>alert('1')</script>"
     started = RunStarted(1, hostile, "0" * 64, 0, hostile, 64, 48, True, 3, 0.04)
     header, columns = run_data([started], [])
-    for page in (one_file(header, columns, Pictures((), ())), with_folder(header, columns, ())):
+    for page in (one_file(header, columns, {}), with_folder(header, columns, {})):
         text = "".join(page)
         assert "alert(" in text and hostile not in text
         assert text.count("<script>") == 1

@@ -130,15 +130,17 @@ def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any]
 def _write_folder(path: Path, data: Data, pictures: Found) -> None:
     from bayesnet_track.view.run_page import FRAMES_FOLDER, full_pictures, picture_name, with_folder
 
-    frames = []
+    frames: dict[str, list[int]] = {}
     if not path.exists():  # what is killed before the page is there leaves a folder that is known for its own
         _write(path, [UNFINISHED])
     with writing(path.parent):
         (path.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
-        for frame, picture in full_pictures(pictures.images):
-            (path.parent / picture_name(frame)).write_bytes(picture)
-            frames.append(frame)
-    _write(path, with_folder(*data, tuple(frames), pictures.annotated))
+        for frame, camera, picture in full_pictures(pictures.views):
+            place = path.parent / picture_name(frame, camera)
+            place.parent.mkdir(exist_ok=True)
+            place.write_bytes(picture)
+            frames.setdefault(camera, []).append(frame)
+    _write(path, with_folder(*data, frames, pictures.annotated))
 
 
 def _write(path: Path, pieces: Iterable[str]) -> None:

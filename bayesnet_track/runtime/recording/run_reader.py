@@ -29,6 +29,7 @@ from bayesnet_track.journal.events.runs import RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.reader import Measurements, Notice, read_events, read_seconds
 from bayesnet_track.journal.text.wording import plural
+from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.recording.interchange import (
     AGENT_COLUMNS,
@@ -57,12 +58,20 @@ class Found:
     """Pictures of a run.
 
     Attributes:
-        images: frame, and (H, W, 3) uint8 BGR, in order; of a damaged source as far as it can be read.
+        views: frame, and camera -> (H, W, 3) uint8 BGR, in order; of a damaged source as far as it can be
+            read. The only camera is called "".
         annotated: whether what was believed is drawn into them.
+        first: name of the first camera.
     """
 
-    images: Iterator[tuple[int, NDArray[np.uint8]]]
+    views: Iterator[tuple[int, Mapping[str, Image]]]
     annotated: bool = False
+    first: str = ""
+
+    @property
+    def images(self) -> Iterator[tuple[int, Image]]:
+        """Frame and image of the first camera, in order."""
+        return ((frame, views[self.first]) for frame, views in self.views if self.first in views)
 
 
 @contextmanager
@@ -88,8 +97,8 @@ def pictures_of(
             if (source.width, source.height) in sizes:
                 # The video has the frames that were tracked, one after the other.
                 place = (first, _stride(directory)) if annotated else (0, 1)
-                images = _between(source, first, final, place)
-                yield Found(_of_size(images, size), annotated), ""
+                main = next(iter(getattr(source, "sources", {})), "")
+                yield Found(_between(source, first, final, place, size), annotated, main), ""
                 return
             was = f"{header.width}x{header.height}"
             reasons.append(f"{source.description} is {source.width}x{source.height} px now, and was {was}")
@@ -101,27 +110,26 @@ def pictures_of(
 
 
 def _between(
-    source: FrameSource, first: int, final: int, place: tuple[int, int]
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """The images of frames `first` to `final`; `place`: number of the source's first one, and the step."""
+    source: FrameSource, first: int, final: int, place: tuple[int, int], size: tuple[int, int]
+) -> Iterator[tuple[int, Mapping[str, Image]]]:
+    """The images of frames `first` to `final`; `place`: number of the source's first one, and the step.
+
+    The only camera's have the `size` of the source, in which boxes are given.
+    """
+    import cv2
+
     for item in source:
         index = place[0] + place[1] * item.index if isinstance(item, Frame) else -1
         if not isinstance(item, Frame) or index < first:
             continue
         if index > final:
             return
-        yield index, item.image
-
-
-def _of_size(
-    images: Iterator[tuple[int, NDArray[np.uint8]]], size: tuple[int, int]
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    """The same images in the size of the source, in which boxes are given."""
-    import cv2
-
-    for index, image in images:
-        has_size = image.shape[1::-1] == size
-        yield index, image if has_size else np.asarray(cv2.resize(image, size), dtype=np.uint8)
+        if item.cameras is not None:
+            yield index, {camera: frame.image for camera, frame in item.cameras.items()}
+        elif item.image.shape[1::-1] == size:
+            yield index, {"": item.image}
+        else:
+            yield index, {"": np.asarray(cv2.resize(item.image, size), dtype=np.uint8)}
 
 
 def _video_size(directory: RunDirectory, size: tuple[int, int]) -> tuple[int, int]:
@@ -204,12 +212,13 @@ def page_in_one(
     """
     from bayesnet_track.view.run_page import Pictures, gather, one_file, room_for_pictures
 
-    pictures = Pictures((), ())
+    pictures = {"": Pictures((), ())}
     if images is not None:
         event_frames = {row["frame"] for row in data[0]["events"] if row["sort"] != "note"}
         pictures = gather(
-            images.images, expected, event_frames, room_for_pictures(*data, largest), images.annotated
+            images.views, expected, event_frames, room_for_pictures(*data, largest), images.annotated
         )
+        missing = missing if pictures else "the sources of the run have none"
     return one_file(*data, pictures, missing)
 
 
@@ -244,10 +253,15 @@ def _graph(directory: RunDirectory, notice: Notice) -> CheckedGraph | None:
     from bayesnet_track.graph.text.messages import GraphError
     from bayesnet_track.observation.cue import stand_ins
     from bayesnet_track.observation.image_files import AnyMask
+    from bayesnet_track.runtime.checkpoints.recipe import Recipe
 
     try:
         spec, positions = read_graph(directory.graph)
-        return check(spec, positions, stand_ins(cues_named(spec)), AnyMask(), AnyCalibration())
+        cameras: Mapping[str, Any] = AnyCalibration()
+        if len(spec.cameras) > 1 and directory.recipe.is_file():
+            unknown = {source.key: cameras[source.key] for source in spec.cameras.values()}
+            cameras = unknown | Recipe.read(directory).read_calibrations(spec)
+        return check(spec, positions, stand_ins(cues_named(spec)), AnyMask(), cameras)
     except (GraphError, OSError) as error:
         notice(f"{directory.graph}: the page shows no net: {error}")
         return None

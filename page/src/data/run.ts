@@ -5,7 +5,7 @@
  */
 
 import { Column, type Kind } from "./column";
-import type { About, Counted, Doubt, EventRow, FrameLine, Header, Plate, Query, Thinned, TimingLine, Written } from "./types";
+import type { About, CameraAbout, Counted, Doubt, EventRow, FrameLine, Header, Plate, Query, Thinned, TimingLine, Written } from "./types";
 
 export const STATUSES = ["tracking", "uncertain", "lost", "seen", "hidden", "unwatched"] as const;
 const NUMBERS = ["ud_px2", "score", "log_evidence", "surprise", "ess", "particles", "learn_rate"] as const;
@@ -30,6 +30,8 @@ export class Track {
   calibrated = false;
   /** Frames for which a row stands: 1, but in the page of a long run, which holds some rows only. */
   gap = 1;
+  /** Its place among the targets, which is its colour. */
+  place = 0;
   /** Counts over all rows, where the page holds some only. */
   counted: Counted | null = null;
 
@@ -159,6 +161,8 @@ export class RunData {
     ["ms", Column.empty("f4")],
   ]);
   readonly queries: Record<string, Query>;
+  /** Those of a run of several cameras. */
+  readonly cameras: CameraAbout[];
   truth: Column | null = null;
   truthTarget: string | null = null;
   thinned: Thinned | null = null;
@@ -166,10 +170,11 @@ export class RunData {
   last = 0;
   private readonly listeners = new Set<() => void>();
 
-  constructor(header: Pick<Header, "run" | "plates" | "queries">) {
+  constructor(header: Pick<Header, "run" | "plates" | "queries" | "cameras">) {
     this.about = header.run;
     this.plates = header.plates;
     this.queries = header.queries ?? {};
+    this.cameras = header.cameras ?? [];
   }
 
   /** Call with the measurements of a frame; frames come in order. */
@@ -202,6 +207,7 @@ export class RunData {
   }
 
   add(track: Track): void {
+    track.place = this.tracks.size;
     this.tracks.set(track.id, track);
   }
 

@@ -1,6 +1,6 @@
 /** What the page is told of a run: its header, its events, and the lines that a run in progress adds. */
 
-export type Sort = "switch" | "status" | "life" | "note";
+export type Sort = "switch" | "status" | "life" | "camera" | "note";
 
 export interface EventRow {
   frame: number;
@@ -12,6 +12,8 @@ export interface EventRow {
   target?: string;
   other?: string;
   node?: string;
+  /** Of which camera it tells. */
+  camera?: string;
   on?: boolean;
   status?: string;
   /** Of an identity: the frame in which the two met, the probability, and whether they would be swapped. */
@@ -65,6 +67,10 @@ export interface Plate {
   hidden_modes: string[];
   /** Unit of UD, of baselines and of levels in `ud_px2`: px², or m² where the state is in metres. */
   ud_unit?: string;
+  /** Nodes that are what a camera sees: their UD is in px². */
+  views?: string[];
+  /** Corners of the ground on which targets start, m; empty where they do anywhere. */
+  area?: [number, number][];
   agents: { name: string; cue: string; cost_ms: number | null }[];
   rules: Rule[];
   net: Net;
@@ -107,6 +113,17 @@ export interface Thinned {
   decisions: number;
 }
 
+/** One of several cameras: size of its image in px; where it stands and what it sees of the ground, in m. */
+export interface CameraAbout {
+  name: string;
+  width: number;
+  height: number;
+  /** Null where its calibration is not known. */
+  at: [number, number] | null;
+  /** Corners of what it sees; none where that is not known. */
+  field: [number, number][];
+}
+
 /** A query of the graph. */
 export interface Query {
   kind: "probability" | "value" | "count" | "crosses";
@@ -125,12 +142,14 @@ export interface Header {
   run: About;
   plates: Record<string, Plate>;
   queries?: Record<string, Query>;
+  /** Of a run of several cameras. */
+  cameras?: CameraAbout[];
   targets: { id: string; plate: string; agents: string[]; nodes: string[]; parts: string[]; modes: string[]; queries: string[]; identities?: string[]; calibrated: boolean; counted?: Counted }[];
   events: EventRow[];
   stages: string[];
   truth_target?: string | null;
   thinned?: Thinned | null;
-  pictures?: { where: "file" | "folder"; step: number; annotated: boolean; without: string };
+  pictures?: { where: "file" | "folder"; step: number; annotated: boolean; without: string; starts?: Record<string, number> };
 }
 
 /** A number as the journal writes it: JSON has neither NaN nor infinity. */

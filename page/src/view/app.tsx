@@ -3,6 +3,7 @@
 import type { Thinned } from "../data/types";
 import type { State } from "../state";
 import { KEYS, LIVE_KEYS } from "../keys";
+import { Cameras } from "./cameras";
 import { Charts } from "./charts";
 import { Events } from "./events";
 import { LiveBar } from "./live_bar";
@@ -11,6 +12,7 @@ import { Agents, Net } from "./net";
 import { Stage } from "./stage";
 import { Headline, TotalsTable } from "./totals";
 import { Transport } from "./transport";
+import { inkOfTarget } from "./paint";
 import { nameOf } from "./words";
 
 export function App({ state }: { state: State }) {
@@ -26,7 +28,7 @@ export function App({ state }: { state: State }) {
             {about.smoothed === true && <span class="smoothed"> smoothed</span>}
           </h1>
           <p>
-            {about.name && about.name !== about.graph && `${about.graph} `}on <span class="source">{about.source}</span> · {about.width} × {about.height} px · seed {about.seed}
+            {about.name && about.name !== about.graph && `${about.graph} `}on <span class="source">{about.source}</span> · {hasCameras(state) ? `${state.run.cameras.length} cameras` : `${about.width} × ${about.height} px`} · seed {about.seed}
             {ended === null && state.live === null && " · the run has no end: it was stopped, or goes on"}
             {ended !== null && state.live === null && !ended.complete && ` · ended early: ${ended.reason.replaceAll("_", " ")}`}
           </p>
@@ -48,7 +50,7 @@ export function App({ state }: { state: State }) {
           <Targets state={state} />
           <div class="desk">
             <div class="left">
-              <Stage state={state} />
+              {hasCameras(state) ? <Cameras state={state} /> : <Stage state={state} />}
               <Transport state={state} />
             </div>
             <div class="right">
@@ -71,6 +73,11 @@ export function App({ state }: { state: State }) {
       {state.help.value && <Help state={state} />}
     </>
   );
+}
+
+/** Of a run in progress the page knows the first camera alone. */
+function hasCameras(state: State): boolean {
+  return state.run.cameras.length > 0 && state.live === null;
 }
 
 /** What the page of a long run holds, and what it leaves out. */
@@ -115,6 +122,7 @@ function Targets({ state }: { state: State }) {
             onClick={() => (state.target.value = track.id)}
           >
             <i class={`dot ${status}`} aria-hidden="true" />
+            {hasCameras(state) && <i class="swatch" style={{ background: inkOfTarget(track) }} aria-hidden="true" />}
             {track.plate && <small>{track.plate} </small>}
             {track.id}
           </button>
@@ -149,9 +157,15 @@ function Help({ state }: { state: State }) {
           hypotheses drawn from the belief; the two rounded frames hold its centre with 50&nbsp;% and 90&nbsp;%; the cross is the
           most probable centre.
         </p>
+        {hasCameras(state) && (
+          <p>
+            Of several cameras each shows the targets' boxes in its image; press its name to enlarge it. On the ground, in metres,
+            ellipses hold a target with 90&nbsp;%, and a trail shows its last three seconds.
+          </p>
+        )}
         <h2>On the timelines</h2>
         <p>
-          ▲ an agent was switched on, ▼ off, ◆ the status changed. Click one to see why. Shaded: the target was lost or
+          ▲ an agent was switched on, ▼ off, ◆ the status changed{hasCameras(state) && ", ■ a camera was knocked or its clock learnt"}. Click one to see why. Shaded: the target was lost or
           uncertain.
         </p>
         <button type="button" autofocus ref={(button) => button?.focus()} onClick={() => (state.help.value = false)}>

@@ -173,6 +173,10 @@ function Numbers({ state, track, row }: { state: State; track: Track; row: numbe
     ["learning rate", value("learn_rate"), "0 while UD is above the level"],
     ["time", `${short(state.run.ms("ms", state.frame.value))} ms`, "of the whole step"],
   ];
+  if (state.run.cameras.length > 0 && Number.isFinite(track.value("ground", row))) {
+    const [x, y, sdX, sdY] = track.values("ground", row) as [number, number, number, number];
+    items.splice(2, 2, ["place", `${x.toFixed(2)}, ${y.toFixed(2)} m`, "x and y on the ground"], ["sd of place", `${short(sdX)}, ${short(sdY)} m`, "posterior standard deviation of x and y"]);
+  }
   const shares = track.shares(row).slice(0, 2).map(([name, share]) => `${name} ${share.toFixed(2)}`);
   if (shares.length > 0) items.push(["identity", shares.join(", "), "whose identity the target has, the two most probable ones"]);
   const hidden = state.run.hidden(track, row);
@@ -198,7 +202,8 @@ function lookOf(event: EventRow): string {
 export function Mark({ event }: { event: EventRow }) {
   const look = lookOf(event);
   const on = look === "on";
-  const d = event.sort === "switch" ? (on ? "M1 9h10L6 1z" : "M1 3h10L6 11z") : "M6 1l5 5-5 5-5-5z";
+  const other = event.sort === "camera" ? "M2 2h8v8H2z" : "M6 1l5 5-5 5-5-5z";
+  const d = event.sort === "switch" ? (on ? "M1 9h10L6 1z" : "M1 3h10L6 11z") : other;
   return (
     <svg class={`mark ${look}`} viewBox="0 0 12 12" width="12" height="12" aria-hidden="true">
       <path d={d} />

@@ -11,7 +11,14 @@ export function inkOf(track: { calibrated: boolean }, status: string): string {
 }
 
 export const INK = { followed: "#b9c7d8", tracking: "#4ade9b", uncertain: "#ffc933", lost: "#ff7a59", hidden: "#b79cff", cloud: "#6fd3ff", truth: "#ffffff", shape: "#ffd9a0" };
-const DASH: Record<string, number[]> = { tracking: [], uncertain: [8, 4], lost: [2, 4], hidden: [2, 4] };
+/** Colours of targets that several cameras see, which can be told apart on dark images; the same everywhere. */
+const TARGETS = ["#6fd3ff", "#ffc933", "#4ade9b", "#ff8a65", "#c7a6ff", "#f7a8e8", "#d7f06a", "#ffffff", "#ffb86b", "#7df0e0"];
+
+export function inkOfTarget(track: { place: number }): string {
+  return TARGETS[track.place % TARGETS.length]!;
+}
+
+export const DASH: Record<string, number[]> = { tracking: [], uncertain: [8, 4], lost: [2, 4], hidden: [2, 4] };
 const HALO = "rgba(10,14,20,.75)";
 
 /** The part of the source that is shown, and how large. */
@@ -110,6 +117,17 @@ export class Painter {
     g.restore();
     g.font = "600 11px system-ui, sans-serif";
     this.label(`swapped? ${probability.toFixed(2)}`, [(from[0]! + to[0]!) / 2, Math.max(from[1]! + from[3]! / 2, to[1]! + to[3]! / 2) + 26 / this.view.scale, 0, 0], INK.uncertain);
+  }
+
+  /** A target in the image of one of several cameras; (4,) NaN where it is not in it. */
+  seen(track: Track, row: number, camera: string, chosen: boolean): void {
+    const box = track.values(`cameras/${camera}`, row);
+    const status = track.status(row);
+    const ink = inkOfTarget(track);
+    this.box(box, ink, chosen ? 3 : 1.5, DASH[status] ?? []);
+    this.g.font = `${chosen ? 700 : 600} 11px system-ui, sans-serif`;
+    const isRoomy = (this.g.canvas.clientWidth || this.g.canvas.width) > 360;
+    this.label(chosen && isRoomy ? `${nameOf(track)} ${status}` : track.id, box, ink);
   }
 
   private cloud(boxes: number[][]): void {

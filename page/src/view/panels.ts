@@ -58,7 +58,7 @@ function uncertainty(run: RunData, track: Track): Panel {
   const lines: Line[] = [
     { name: "UD", title: "uncertainty of the root", colour: colour("ud"), width: 2, values: column(track, "ud_px2") },
   ];
-  for (const node of track.nodes.filter((name) => name !== plate?.root).slice(0, 4)) {
+  for (const node of track.nodes.filter((name) => name !== plate?.root && !(plate?.ud_unit === "m²" && plate.views?.includes(name))).slice(0, 4)) {
     lines.push({ name: `UD ${node}`, colour: colour("soft"), width: 1, values: column(track, `nodes/${node}/ud_px2`) });
   }
   for (const rule of plate?.rules ?? []) {

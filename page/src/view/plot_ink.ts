@@ -169,7 +169,7 @@ export function people(u: uPlot, targets: NonNullable<Panel["targets"]>, state: 
   g.restore();
 }
 
-/** A triangle on the curve per switch (up: on, down: off), a diamond per change of status. */
+/** A triangle on the curve per switch (up: on, down: off), a square per camera, a diamond per change of status. */
 export function marks(u: uPlot, panel: Panel, frames: number[], events: EventRow[]): void {
   const g = u.ctx;
   const ratio = uPlot.pxRatio;
@@ -181,7 +181,8 @@ export function marks(u: uPlot, panel: Panel, frames: number[], events: EventRow
     if (x < left - 1 || x > left + width + 1) continue;
     const value = panel.lines[0]!.values[rows.get(event.frame) ?? -1] ?? panel.range[0];
     const y = Math.min(u.valToPos(value, "y", true), top + height - 6 * ratio);
-    const ink = event.sort === "switch" ? (event.on ? "on" : "off") : event.status === "lost" ? "lost" : "ink";
+    const quiet = event.sort === "camera" ? "camera" : "ink";
+    const ink = event.sort === "switch" ? (event.on ? "on" : "off") : event.status === "lost" ? "lost" : quiet;
     g.fillStyle = g.strokeStyle = colour(ink);
     g.lineWidth = ratio;
     g.globalAlpha = 0.35;
@@ -192,7 +193,8 @@ export function marks(u: uPlot, panel: Panel, frames: number[], events: EventRow
     g.globalAlpha = 1;
     const s = 5 * ratio;
     g.beginPath();
-    if (event.sort !== "switch") {
+    if (event.sort === "camera") g.rect(x - 0.8 * s, y - 0.8 * s, 1.6 * s, 1.6 * s);
+    else if (event.sort !== "switch") {
       g.moveTo(x, y - s);
       g.lineTo(x + s, y);
       g.lineTo(x, y + s);

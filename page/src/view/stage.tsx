@@ -61,7 +61,7 @@ export function Stage({ state }: { state: State }) {
     if (id !== null) state.target.value = id;
   };
 
-  const has: Record<Layer, boolean> = {
+  const has: Partial<Record<Layer, boolean>> = {
     cloud: true,
     regions: true,
     map: true,
@@ -117,7 +117,7 @@ function save(canvas: HTMLCanvasElement, state: State): void {
 }
 
 /** The address names frame and target (`main.tsx`); a page inside a notebook has none. */
-function CopyLink() {
+export function CopyLink() {
   const told = useSignal("copy link");
   const copy = () => {
     const copied = navigator.clipboard?.writeText(location.href) ?? Promise.reject(new Error("no clipboard"));

@@ -119,7 +119,7 @@ function Ribbon({ state }: { state: State }) {
     }
     for (const event of events) {
       const at = x(event.frame);
-      g.fillStyle = colour(event.sort === "switch" ? (event.on ? "on" : "off") : "ink");
+      g.fillStyle = colour(event.sort === "switch" ? (event.on ? "on" : "off") : event.sort === "camera" ? "camera" : "ink");
       if (event.sort === "switch") {
         const up = event.on === true;
         g.beginPath();
@@ -128,7 +128,8 @@ function Ribbon({ state }: { state: State }) {
         g.lineTo(at, up ? 1 : h - 1);
         g.fill();
       } else {
-        g.fillRect(at - 0.75, 2, 1.5, 6);
+        const wide = event.sort === "camera" ? 5 : 1.5;
+        g.fillRect(at - wide / 2, 2, wide, 6);
       }
     }
   });
