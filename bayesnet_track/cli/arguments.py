@@ -146,7 +146,7 @@ def number(needed: str, bound: float = math.inf, maximum: float = math.inf) -> C
     return parse
 
 
-metres = number("a length above 0 in metres is needed", bound=1e6)
+metres = number("a length above 0 in metres, at most 1 is needed (25 mm are 0.025)", maximum=1.0)
 pixels = number("a distance above 0 in px is needed", bound=1e9)
 milliseconds = number("milliseconds above 0 are needed", bound=1e7)
 seconds = number("a number of seconds above 0 is needed", bound=1e6)

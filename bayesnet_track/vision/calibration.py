@@ -264,6 +264,9 @@ def _wrong(path: Path, fault: str) -> CalibrationError:
 Corners = NDArray[np.float32]
 
 LEAST_VIEWS = 3
+SOUGHT_SIDE = 1280
+BOARD_FLAGS = 1 | 2
+"""cv2.CALIB_CB_ADAPTIVE_THRESH, cv2.CALIB_CB_NORMALIZE_IMAGE."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +321,7 @@ def calibrate(
             f"a board of {board[0]}x{board[1]} inner corners is whole in {len(complete)} of {len(pairs)} "
             f"pairs ({left_count} left pictures, {right_count} right ones); at least {LEAST_VIEWS} are "
             f"needed; check {setting('--board', 'AxB', '(A, B)')}, which counts the corners where four "
-            "squares meet"
+            f"squares meet{board_seen(left[:: -(-len(left) // 6)], board)}"
         )
     size = next(iter(sizes))
     world = np.zeros((board[0] * board[1], 3), dtype=np.float32)
@@ -344,18 +347,66 @@ def calibrate(
     return Calibrated(cameras, float(left_rms), float(right_rms), float(rms), epipolar, complete)
 
 
-def find_corners(picture: Image, board: tuple[int, int]) -> Corners | None:
-    """(corners, 1, 2) x, y of a board's inner corners to a fraction of a pixel, or None."""
+def find_corners(picture: Image, board: tuple[int, int], *, is_small_sought: bool = True) -> Corners | None:
+    """(corners, 1, 2) x, y of a board's inner corners to a fraction of a pixel, or None.
+
+    The board is sought in a reduced image first, of at most `SOUGHT_SIDE` px; `is_small_sought` says that
+    one too small to be seen there is sought in the whole image as well, which takes 0.5 s and more.
+    """
     import cv2
 
     brightness = gray(picture)
-    is_whole, corners = cv2.findChessboardCorners(
-        brightness, board, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-    )
+    factor = -(-max(brightness.shape) // SOUGHT_SIDE)
+    reduced = _reduced(brightness, factor)
+    is_whole, corners = cv2.findChessboardCorners(reduced, board, flags=BOARD_FLAGS | cv2.CALIB_CB_FAST_CHECK)
+    if is_whole:
+        corners = (corners + 0.5) * factor - 0.5
+    elif is_small_sought:
+        is_whole, corners = cv2.findChessboardCorners(brightness, board, flags=BOARD_FLAGS)
     if not is_whole:
         return None
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.01)
     return np.asarray(cv2.cornerSubPix(brightness, corners, (5, 5), (-1, -1), criteria), dtype=np.float32)
+
+
+def _reduced(brightness: Image, factor: int) -> Image:
+    import cv2
+
+    if factor == 1:
+        return brightness
+    size = brightness.shape[1] // factor, brightness.shape[0] // factor
+    return np.asarray(cv2.resize(brightness[: size[1] * factor, : size[0] * factor], size, interpolation=3))
+
+
+def board_seen(pictures: Sequence[Image], board: tuple[int, int]) -> str:
+    """End of a message: the board of another size that is whole in most of the pictures, or nothing.
+
+    Sizes that differ by up to 3 corners each way are tried, the closest first.
+    """
+    import cv2
+
+    small = [_reduced(image, -(-max(image.shape) // 640)) for image in map(gray, pictures)]
+    sizes = [
+        (columns, rows)
+        for columns in range(max(3, board[0] - 3), board[0] + 4)
+        for rows in range(max(3, board[1] - 3), board[1] + 4)
+        if (columns, rows) not in (board, board[::-1])
+    ]
+    counts: list[tuple[int, int, tuple[int, int]]] = []
+    for size in sorted(sizes, key=lambda size: abs(size[0] - board[0]) + abs(size[1] - board[1])):
+        flags = BOARD_FLAGS | cv2.CALIB_CB_FAST_CHECK
+        count = sum(cv2.findChessboardCorners(image, size, flags=flags)[0] for image in small)
+        counts.append((count, size[0] * size[1], size))
+        if 2 * count > len(small):
+            break
+    count, _, size = max(counts)
+    if count < max(1, min(2, len(small))):
+        return ""
+    text = f"{size[0]}x{size[1]}"
+    return (
+        f"; a board of {text} is whole in {count} of {len(small)} looked at: is it "
+        f"{setting('--board', text, str(size))}?"
+    )
 
 
 def _row_difference(cameras: Cameras, corners: Sequence[Sequence[Corners]]) -> float:

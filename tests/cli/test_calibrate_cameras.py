@@ -73,9 +73,12 @@ def test_a_lens_is_found_from_views_of_a_board(tmp_path: Path, capsys: pytest.Ca
     lens = read_intrinsics(out)
     assert lens.size == SIZE
     assert np.abs(lens.matrix - K).max() < 12
-    wrong = f"calibrate camera {tmp_path}/*.png --board 8x5 --square 0.04 --out {tmp_path}/b.yaml"
-    assert main(wrong.split()) == 2
-    assert "is whole in 0 views" in capsys.readouterr().err
+    for wrong in ("8x5", "10x7"):
+        command = f"calibrate camera {tmp_path}/*.png --board {wrong} --square 0.04 --out {tmp_path}/b.yaml"
+        assert main(command.split()) == 2
+        message = capsys.readouterr().err
+        assert "is whole in 0 views" in message
+        assert "is it --board 9x6?" in message
 
 
 def test_the_place_of_a_camera_is_found_from_points(
@@ -145,6 +148,53 @@ def test_a_point_with_a_wrong_sign_is_named(tmp_path: Path, capsys: pytest.Captu
     given = " ".join(f"--point {a},{b}={x},{y}" for (a, b), (x, y) in zip(pixels, wrong, strict=True))
     assert main(f"calibrate ground {tmp_path}/a.png {given} --out {tmp_path}/c.yaml".split()) == 0
     assert "point 5 is" in capsys.readouterr().err
+
+
+ORDERS = {
+    "exchanged": ([0, 1, 3, 2], "the pixels of 3, 4 the metres of 4, 3"),
+    "shifted": ([3, 0, 1, 2], "the pixels of 1, 2, 3, 4 the metres of 2, 3, 4, 1"),
+    "two of six": ([0, 4, 2, 3, 1, 5], "the pixels of 2, 5 the metres of 5, 2"),
+    "six from the second": (
+        [1, 2, 3, 4, 5, 0],
+        "the pixels of 1, 2, 3, 4, 5, 6 the metres of 6, 1, 2, 3, 4, 5",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_points_in_another_order_are_refused_with_the_right_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    order, message = ORDERS[name]
+    count = len(order)
+    image, points, lens = (tmp_path / name for name in ("a.png", "p.csv", "lens.json"))
+    cv2.imwrite(str(image), np.zeros((480, 640, 3), np.uint8))
+    lens.write_text(json.dumps({"K": K.tolist(), "image_size": SIZE}))
+    camera = looking((1.0, -6.0, 3.0))
+    pixels = camera.project(np.column_stack([GROUND, np.zeros(len(GROUND))]))[:count]
+    rows = np.column_stack([pixels, GROUND[order]])
+    points.write_text("px,py,x,y\n" + "\n".join(",".join(f"{v:.2f}" for v in row) for row in rows))
+    command = f"calibrate ground {image} --points {points} --intrinsics {lens} --out {tmp_path}/c.yaml"
+    assert main(command.split()) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "c.yaml").exists()
+
+
+@pytest.mark.parametrize(("other", "message"), [("cm", "are x and y in metres"), ("lens", "do not fit: rms")])
+def test_points_of_another_unit_or_lens_are_complained_about(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], other: str, message: str
+) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((480, 640, 3), np.uint8))
+    write_points(tmp_path / "p.csv", looking((1.0, -6.0, 3.0)), GROUND[:4])
+    matrix = K * [[1.4], [1.4], [1]] if other == "lens" else K
+    if other == "cm":
+        header, *lines = (tmp_path / "p.csv").read_text().split()
+        rows = [[100 * float(x), 100 * float(y), px, py] for x, y, px, py in (r.split(",") for r in lines)]
+        (tmp_path / "p.csv").write_text("\n".join([header] + [",".join(map(str, row)) for row in rows]))
+    (tmp_path / "lens.json").write_text(json.dumps({"K": matrix.tolist(), "image_size": SIZE}))
+    command = f"calibrate ground {tmp_path}/a.png --points {tmp_path}/p.csv --out {tmp_path}/c.yaml"
+    assert main(f"{command} --intrinsics {tmp_path}/lens.json".split()) == 0
+    assert message in capsys.readouterr().err
 
 
 def test_cameras_agree_on_the_board_that_they_see(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from bayesnet_track.vision.camera_calibration import GroundFit
 
 COLUMNS = ("px", "py", "x", "y")
+HUGE_M = 300.0
+"""Diagonal of ground points, m, above which they are probably in centimetres or millimetres."""
 
 
 def calibrate_camera(options: argparse.Namespace) -> int:
@@ -26,13 +28,19 @@ def calibrate_camera(options: argparse.Namespace) -> int:
     board, path = options.board, Path(options.out)
     check_free(path, options.overwrite)
     detected, looked, size = [], 0, (0, 0)
+    sample: list[Image] = []
+    step = 1
     for image in _images(options.source, options.value_range, options.stride):
         looked, size = looked + 1, (image.shape[1], image.shape[0])
-        corners = find_corners(image, board)
+        corners = find_corners(image, board, is_small_sought=False)
         if corners is not None:
             detected.append(corners)
+        if looked % step == 0:
+            sample.append(image)
+        if len(sample) > 8:
+            sample, step = sample[1::2], 2 * step
     with users_mistake():
-        fit = fit_lens(detected, size, board, options.square_m)
+        fit = fit_lens(detected, size, board, options.square_m, sample)
     with writing(path):
         write_camera(path, fit.intrinsics, {"rms_px": fit.rms_px})
     matrix, distortion = fit.intrinsics.matrix, fit.intrinsics.distortion
@@ -96,6 +104,8 @@ def _say_fit(fit: GroundFit, numbers: Floats) -> None:
     if isinstance(fit.view, Camera):
         x, y, z = fit.view.centre
         say(f"the camera stands at x {x:.2f}, y {y:.2f} m, {z:.2f} m above the ground")
+    if fit.extent_m > HUGE_M:
+        complain(f"the points extend over {fit.extent_m:.0f} m: are x and y in metres, not in cm or mm?")
     if fit.spare == 0:
         complain(
             "four points without a known lens fit exactly, whatever they are: give more to see the error"
@@ -103,6 +113,12 @@ def _say_fit(fit: GroundFit, numbers: Floats) -> None:
     worst = int(fit.residuals_px.argmax())
     if len(numbers) > 4 and fit.residuals_px[worst] > max(5.0, 2 * rms / math.sqrt(1 + rms / 50)):
         complain(f"point {worst + 1} is {fit.residuals_px[worst]:.0f} px off: check its pixels and metres")
+    elif fit.is_bad.any():
+        complain(
+            f"the points do not fit: rms {rms:.0f} px where clicks and a tape explain some "
+            f"{0.002 * math.hypot(*fit.size):.0f} px; are the pixels and the lens those of this camera and "
+            "zoom, and is no distance misread?"
+        )
 
 
 def _say_heights(fit: GroundFit) -> None:
