@@ -328,8 +328,8 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
     if not lost and any(metrics.status == "uncertain" for metrics in result.targets):
         status = "uncertain"
     if lost and len(result.targets) > 1:
-        whom = ", ".join(lost) if len(lost) <= MOST_NAMED else str(len(lost))
-        status = f"lost: {whom} of {len(result.targets)}"
+        whom = f": {', '.join(lost)}" if len(lost) <= MOST_NAMED else ""
+        status = f"{len(lost)} of {len(result.targets)} lost{whom}"
     ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
     unit = next((metrics.ud_unit for metrics in result.targets), "px²")
     # As if no time passed while kernels are compiled: the rate is that of frames.

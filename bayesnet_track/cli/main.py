@@ -19,7 +19,6 @@ from bayesnet_track.cli.arguments import (
     mute,
     words,
 )
-from bayesnet_track.cli.commands.compare import as_what_if
 from bayesnet_track.cli.parser import COMMANDS as DECLARED
 from bayesnet_track.cli.parser import Parser, make_parser
 from bayesnet_track.graph.text.messages import GraphError
@@ -51,7 +50,7 @@ def _in_streams(arguments: Sequence[str] | None, stop: StopRequest) -> int:
 
 def _main(arguments: Sequence[str] | None, stop: StopRequest) -> int:
     parser = make_parser()
-    words_of_line = as_what_if(_join(sys.argv[1:] if arguments is None else arguments))
+    words_of_line = _as_what_if(_join(sys.argv[1:] if arguments is None else arguments))
     options, extras = parser.parse_known_args(words_of_line)
     if extras:
         refusing = parser.commands.choices.get(options.command or "", parser)
@@ -124,9 +123,26 @@ def _join(arguments: Sequence[str]) -> list[str]:
     return joined
 
 
+def _as_what_if(arguments: Sequence[str]) -> list[str]:
+    """`run --what-if RUN ...` as `what-if RUN ...`; other arguments as they are.
+
+    >>> _as_what_if(["run", "--what-if", "runs/mine", "--seed", "1"])
+    ['what-if', 'runs/mine', '--seed', '1']
+    """
+    if list(arguments[:1]) != ["run"]:
+        return list(arguments)
+    for place, argument in enumerate(arguments):
+        if argument == "--what-if":
+            return ["what-if", *arguments[1:place], *arguments[place + 1 :]]
+        if argument.startswith("--what-if="):
+            run = argument.partition("=")[2]
+            return ["what-if", *arguments[1:place], run, *arguments[place + 1 :]]
+    return list(arguments)
+
+
 COMPILING = "compiling kernels that no earlier command has needed: seconds, up to a minute"
 TRACKING = ("demo", "run", "resume", "batch", "what-if")
-LOOKS_BACK = ("log", "score", "report", "compare", "diagnose", "export")
+LOOKS_BACK = ("log", "score", "report", "plot", "compare", "diagnose", "export")
 SILENT = ("quiet", "log_json", "json")
 """Options with which nothing is said of it: somebody reads by program, or does not want to know."""
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
+from textwrap import fill
 from typing import Any, NoReturn
 
 from bayesnet_track.cli.commands.annotate import add_annotate, annotate
@@ -15,7 +16,7 @@ from bayesnet_track.cli.commands.calibrate import add_calibrate, calibrate
 from bayesnet_track.cli.commands.compare import add_compare, add_what_if, compare, what_if
 from bayesnet_track.cli.commands.detect import add_cameras, add_detect, cameras, detect
 from bayesnet_track.cli.commands.diagnose import add_diagnose, diagnose
-from bayesnet_track.cli.commands.export import add_export, add_report, export, report
+from bayesnet_track.cli.commands.export import add_export, add_plot, add_report, export, plot_run, report
 from bayesnet_track.cli.commands.fit import add_fit, fit
 from bayesnet_track.cli.commands.graphs import (
     add_completion,
@@ -51,7 +52,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "see it work": ("demo", "doctor", "list", "completion"),
     "track": ("run", "batch", "resume", "verify"),
     "label a video": ("annotate",),
-    "look at a run": ("report", "log", "diagnose", "smooth", "export"),
+    "look at a run": ("report", "log", "plot", "diagnose", "smooth", "export"),
     "measure": ("score", "compare", "what-if"),
     "write a graph": ("init", "validate", "graph", "simulate", "schema"),
     "fit to your videos": ("fit", "learn-shape", "learn-stereo"),
@@ -62,7 +63,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 EXAMPLES: Mapping[str, str] = {
     "demo": "demo crowd",
     "doctor": "doctor",
-    "list": "list",
+    "list": "list people",
     "completion": "completion bash",
     "run": "run general --source video.mp4 --init 57,21,31,45 --out runs/mine",
     "batch": "batch general --source '*.mp4' --init-from '{name}.txt' --out runs/all",
@@ -71,6 +72,7 @@ EXAMPLES: Mapping[str, str] = {
     "verify": "verify runs/mine",
     "report": "report runs/mine --open",
     "log": "log runs/mine --why 120",
+    "plot": "plot runs/mine --out mine.svg",
     "smooth": "smooth runs/mine --out runs/mine_smoothed",
     "diagnose": "diagnose runs/mine",
     "export": "export runs/mine --format coco --out tracks.json",
@@ -108,8 +110,9 @@ def describe_commands(commands: argparse._SubParsersAction[Any]) -> str:
 
 
 def add_examples(commands: argparse._SubParsersAction[Any]) -> None:
-    """Let the help of every command end with its example."""
+    """Let the help of every command end with its example, and its description keep to the terminal."""
     for name, parser in commands.choices.items():
+        parser.description = parser.description and fill(parser.description, 79)
         example = f"example:\n  bayesnet-track {EXAMPLES[name]}"
         parser.epilog = f"{parser.epilog}\n\n{example}" if parser.epilog else example
         parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -140,9 +143,9 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {text}\n`{self.prog} --help` lists what there is\n")
 
     def refuse(self, extras: Sequence[str]) -> NoReturn:
-        """Refuse words that nothing takes."""
+        """Refuse words that belong to no argument."""
         options = [self.describe_option(word) for word in extras if re.match(r"--?[A-Za-z]", word)]
-        fault = f"nothing takes {' '.join(extras)!r}; a value is one word, as 1,2,3,4 is, or in quotes"
+        fault = f"unexpected {' '.join(extras)!r}; write a value without spaces, as 1,2,3,4, or in quotes"
         self.error("; ".join(options) or fault)
 
     def unknown(self) -> Iterable[str]:
@@ -170,6 +173,19 @@ class MainParser(Parser):
         return "\n\n".join([*(part or "" for part in parts), f"{self.epilog}\n"])
 
 
+OTHER_WORDS = {
+    "track": "run",
+    "label": "annotate",
+    "convert": "export",
+    "show": "report",
+    "view": "report",
+    "evaluate": "score",
+    "new": "init",
+    "check": "validate or doctor",
+}
+"""Words that other programs use for commands -> the command here."""
+
+
 def suggest(message: str) -> str:
     """The message of `argparse`; of a wrong choice with the nearest one.
 
@@ -181,6 +197,8 @@ def suggest(message: str) -> str:
         return message
     names = choice["names"].replace("'", "").split(", ")
     is_command = choice["what"] == "COMMAND"
+    if is_command and choice["word"] in OTHER_WORDS:
+        return f"no command {choice['word']!r}; did you mean {OTHER_WORDS[choice['word']]}?"
     listed = "" if is_command else f"; there are {', '.join(names)}"
     kind = "command" if is_command else choice["what"]
     return f"no {kind} {choice['word']!r}{listed}{nearest(choice['word'], names)}"
@@ -236,6 +254,7 @@ COMMANDS: Mapping[str, tuple[Adding, Action | None]] = {
     "compare": (add_compare, compare),
     "what-if": (add_what_if, what_if),
     "export": (add_export, export),
+    "plot": (add_plot, plot_run),
     "diagnose": (add_diagnose, diagnose),
 }
 """Command -> what adds its parser, and what it does; `doctor` starts where the others cannot be imported."""

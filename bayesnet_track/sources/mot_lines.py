@@ -194,7 +194,11 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
     at_frame, at_id = columns.get("frame", columns.get("index")), columns.get("id")
     if at_frame is None:
         line = lines.first - 1
-        raise ValueError(f"{lines.name}:{line}: the header names no frame; expected {COLUMNS}")
+        unknown = f" (unknown: {few(layout.unused)})" if layout.unused else ""
+        raise ValueError(
+            f"{lines.name}:{line}: no column of the header is called frame{unknown}; call the frame numbers "
+            f"frame if they count from 1, frame_index if they count from 0; expected {COLUMNS}"
+        )
     numbers: list[int] = []
     frames: list[int] = []
     id_words: list[str] = []

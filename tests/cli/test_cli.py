@@ -160,6 +160,23 @@ def test_the_page_has_the_same_exit_codes():
     assert table == re.findall(r"^  (\d)    (.*)$", lines, re.MULTILINE)
 
 
+def test_a_plot_has_every_agent_and_replaces_nothing_unasked(cli, demo_run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli(f"plot {demo_run}")[:2] == (0, "wrote run.svg\n")
+    picture = (tmp_path / "run.svg").read_text("utf-8")
+    assert all(f">{agent}<" in picture for agent in ("color", "motion"))
+    code, _, err = cli(f"plot {demo_run}")
+    assert (code, err) == (6, "bayesnet-track plot: run.svg: it is there already; --overwrite replaces it\n")
+    assert cli(f"plot {demo_run} --target 1 --overwrite")[0] == 0
+
+
+def test_a_word_selects_lines_of_the_list(cli):
+    code, out, _ = cli("list TEXTURE")
+    titles = [line.partition(" (")[0].rstrip(":") for line in out.splitlines() if line[0] != " "]
+    assert code == 0 and "cues" in titles
+    assert all("texture" in line.lower() for line in out.splitlines() if line[0] == " ")
+
+
 def test_without_a_command_it_shows_help_and_fails(cli):
     code, out, _ = cli()
     assert code == 2 and out.startswith("usage: bayesnet-track")
@@ -496,7 +513,6 @@ def test_interrupts_before_the_first_frame(cli, monkeypatch, interrupt, code):
 
 
 SOURCES = "a video file, a folder of images, a glob of images, a camera index such as 0, an http or rtsp URL"
-GRAPHS = ", ".join(graph_names())
 
 MISTAKES = {
     # wrong arguments
@@ -650,8 +666,8 @@ MISTAKES = {
     # a wrong graph
     "run generl --source {images} --out {out} --init 1,2,3,4": (
         3,
-        f"generl:1:1: graph: no installed graph of this name; allowed: {GRAPHS}, or a path to a file; "
-        "nearest: general",
+        "generl:1:1: graph: no installed graph of this name; allowed: a name that `bayesnet-track list` "
+        "prints, or a path to a file; nearest: general",
     ),
     "validate {wrong}/none.yaml": (
         3,
@@ -684,7 +700,16 @@ MISTAKES = {
         "bayesnet-track run: source 'http://localhost/x.mp4': it is on the network; allowed: network sources "
         "with --allow-network; add that",
     ),
-    "log {wrong}/nothing": (4, "bayesnet-track log: {wrong}/nothing: not a run directory: no such folder"),
+    "log {wrong}/nothing": (
+        4,
+        "bayesnet-track log: {wrong}/nothing: not a run directory: no such folder; "
+        "runs in {wrong}: garbled, untrue",
+    ),
+    "plot {demo} --target 2 --out {out}": (2, "bayesnet-track plot: no target '2' in this run; there are 1"),
+    "list nonsense": (
+        2,
+        "bayesnet-track list: no graph, scene, cue or detector with 'nonsense' in its name or description",
+    ),
     "score {images}": (4, "bayesnet-track score: {images}: not a run directory: no journal.jsonl in it"),
     "log {wrong}/garbled": (
         4,
@@ -730,6 +755,7 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
     [
         ("frobnicate", "bayesnet-track: no command 'frobnicate'\n`bayesnet-track --help` lists what"),
         ("rnu general", "bayesnet-track: no command 'rnu'; did you mean run?"),
+        ("track video.mp4", "bayesnet-track: no command 'track'; did you mean run?"),
         (
             "completion bahs",
             "no SHELL 'bahs'; there are bash, zsh, fish; did you mean bash?",
@@ -744,12 +770,12 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
         ),
         (
             "run general --source x -o y --init 1 2 3 4",
-            "nothing takes '2 3 4'; a value is one word, as 1,2,3,4 is, or in quotes",
+            "unexpected '2 3 4'; write a value without spaces, as 1,2,3,4, or in quotes",
         ),
-        ("run general --source x -o y --init 1, 2, 3, -4", "nothing takes '2, 3, -4'; a value is one word"),
+        ("run general --source x -o y --init 1, 2, 3, -4", "unexpected '2, 3, -4'; write a value without"),
         (
             "demo two words",
-            "demo: nothing takes 'words'; a value is one word",
+            "demo: unexpected 'words'; write a value without spaces",
         ),
         ("run g --source x --out y --executor ray", "no --executor 'ray'; there are serial, processes"),
         (

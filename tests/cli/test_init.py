@@ -27,7 +27,9 @@ def test_the_default_reconfigures_itself_and_says_how_to_run_it(
 ) -> None:
     path = tmp_path / "mine.yaml"
     assert main(["init", str(path)]) == 0
-    assert capsys.readouterr().out == f"wrote {path}; its first lines say what to do next\n"
+    printed = capsys.readouterr()
+    assert printed.out == f"wrote {path}, a copy of the graph adaptive\n"
+    assert f"next: `bayesnet-track run {path} --source VIDEO --init X,Y,W,H --out runs/mine`" in printed.err
     text = path.read_text("utf-8")
     assert f"bayesnet-track run {path} --source VIDEO" in text
     (plate,) = load_graph(path).targets.values()

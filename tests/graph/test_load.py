@@ -36,7 +36,7 @@ def test_a_path_is_read(tmp_path):
         (
             "two_sqares",
             "two_sqares:1:1: graph: no installed graph of this name; allowed: "
-            f"{', '.join(graph_names())}, or a path to a file; nearest: two_squares",
+            "a name that `bayesnet-track list` prints, or a path to a file; nearest: two_squares",
         ),
         ("no/such.yaml", "no/such.yaml:1:1: graph: cannot be read: No such file or directory"),
         ("a\0.yaml", r"'a\x00.yaml':1:1: graph: cannot be read: embedded null byte"),

@@ -13,8 +13,8 @@ from bayesnet_track.cli.arguments import (
     INCOMPLETE,
     OK,
     UsageError,
-    add_address_options,
     complain,
+    port,
     run_silently,
     say,
     share,
@@ -230,4 +230,12 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         "--no-view", action="store_true", help="open no page: track, write, and print what is to be asked"
     )
     add_identity_options(annotate)
-    add_address_options(annotate)
+    page = annotate.add_argument_group("page")
+    page.add_argument("--port", type=port, metavar="PORT", help="port of the page (default a free one)")
+    page.add_argument(
+        "--view-host",
+        default="127.0.0.1",
+        metavar="HOST",
+        help="address that the page listens at (default 127.0.0.1: only this machine)",
+    )
+    page.add_argument("--open", action="store_true", help="open the page in this machine's browser")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -393,23 +393,6 @@ def _require_adaptation(spec: GraphSpec) -> None:
         f"--no-adaptation: no node of {spec.name} has {', '.join(keys)} or {final_key}: "
         "all its agents are always on"
     )
-
-
-def as_what_if(arguments: Sequence[str]) -> list[str]:
-    """`run --what-if RUN ...` as `what-if RUN ...`; other arguments as they are.
-
-    >>> as_what_if(["run", "--what-if", "runs/mine", "--seed", "1"])
-    ['what-if', 'runs/mine', '--seed', '1']
-    """
-    if list(arguments[:1]) != ["run"]:
-        return list(arguments)
-    for place, argument in enumerate(arguments):
-        if argument == "--what-if":
-            return ["what-if", *arguments[1:place], *arguments[place + 1 :]]
-        if argument.startswith("--what-if="):
-            run = argument.partition("=")[2]
-            return ["what-if", *arguments[1:place], run, *arguments[place + 1 :]]
-    return list(arguments)
 
 
 def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:

@@ -1,4 +1,4 @@
-"""Commands that export a run: `report` as a page, `export` in the format of another tool."""
+"""Commands that export a run: `report` as a page, `plot` as a picture, `export` for another tool."""
 
 from __future__ import annotations
 
@@ -152,6 +152,32 @@ def _write(path: Path, pieces: Iterable[str]) -> None:
             for piece in pieces:
                 file.write(piece)
         part.replace(path.resolve())
+
+
+def plot_run(options: argparse.Namespace) -> int:
+    """Draw a run over time."""
+    from bayesnet_track.journal.text.story import check_target
+    from bayesnet_track.runtime.recording.run_reader import open_run
+
+    run = open_run(options.run, complain)
+    path = Path(options.out or f"{run.directory.path.resolve().name}.svg")
+    check_free(path, options.overwrite)
+    with users_mistake():
+        if options.target is not None:
+            check_target(run.events, options.target)
+        picture = run.timeline(options.target)
+    _write(path, [picture])
+    say(f"wrote {path}")
+    return OK
+
+
+def add_plot(commands: argparse._SubParsersAction[Any]) -> None:
+    """Add the command."""
+    plot = commands.add_parser("plot", help="draw uncertainty and active agents over time, as SVG")
+    plot.add_argument("run", metavar="RUN", help="run directory")
+    plot.add_argument("-o", "--out", metavar="FILE", help="SVG file to write (default: name of the run)")
+    plot.add_argument("--target", metavar="ID", help="which target (default: the first)")
+    plot.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
 
 
 def add_report(commands: argparse._SubParsersAction[Any]) -> None:

@@ -187,24 +187,26 @@ def list_installed(options: argparse.Namespace) -> int:
     from bayesnet_track.sources.scenes import scene_names
     from bayesnet_track.sources.scenes.people import ROOMS
 
-    say(f"graphs (name one, or copy its file from {graph_folder()}):")
-    for graph, summary in graphs_about().items():
-        say(f"  {graph:29} {summary}")
-    say("scenes (for `demo`):")
-    for line in wrap(", ".join((*scene_names(), *ROOMS)), 100, break_on_hyphens=False):
-        say(f"  {line}")
-    say("cues:")
-    for cue in installed_cues(allowed()).values():
-        say(f"  {cue.name:22} {cue.summary}")
-    say("detectors:")
-    for detector in installed_detectors(allowed()).values():
-        say(f"  {detector.name:21} {detector.summary}")
-    for group, word in ((CUES, "cues"), (DETECTORS, "detectors")):
-        unloaded = {name: package for name, package in others(group).items() if name not in allowed()}
-        if unloaded:
-            say(f"{word} of other packages, not loaded (--allow-plugins NAME lets a graph use one):")
-        for name, package in unloaded.items():
-            say(f"  {name:21} {package}")
+    word = (options.word or "").lower()
+    scenes = ", ".join(scene for scene in (*scene_names(), *ROOMS) if word in scene)
+    sections = {
+        f"graphs (in {graph_folder()}; `bayesnet-track init --from NAME` copies one)": [
+            f"{graph:29} {summary}" for graph, summary in graphs_about().items()
+        ],
+        "scenes (for `demo`)": wrap(scenes, 100, break_on_hyphens=False),
+        "cues": [f"{cue.name:22} {cue.summary}" for cue in installed_cues(allowed()).values()],
+        "detectors": [f"{each.name:21} {each.summary}" for each in installed_detectors(allowed()).values()],
+    }
+    for group, kind in ((CUES, "cues"), (DETECTORS, "detectors")):
+        title = f"{kind} of other packages, not loaded (--allow-plugins NAME lets a graph use one)"
+        packages = others(group).items()
+        sections[title] = [f"{name:21} {package}" for name, package in packages if name not in allowed()]
+    matching = {title: [line for line in lines if word in line.lower()] for title, lines in sections.items()}
+    if not any(matching.values()):
+        raise UsageError(f"no graph, scene, cue or detector with {options.word!r} in its name or description")
+    for title, lines in matching.items():
+        if lines:
+            say("\n  ".join([f"{title}:", *lines]))
     return OK
 
 
@@ -237,7 +239,9 @@ def add_schema(commands: argparse._SubParsersAction[Any]) -> None:
 
 def add_list(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
-    add_plugins(commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes"))
+    listing = commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes")
+    listing.add_argument("word", nargs="?", metavar="WORD", help="only lines with this word (default: all)")
+    add_plugins(listing)
 
 
 HEAD = """\
@@ -272,7 +276,10 @@ def init(options: argparse.Namespace) -> int:
     check(*read_graph(head + text, str(path)))
     with writing(path):
         path.write_text(head + text, encoding="utf-8")
-    say(f"wrote {path}; its first lines say what to do next")
+    say(f"wrote {path}, a copy of the graph {options.source}")
+    complain(
+        f"next: `bayesnet-track run {path} --source VIDEO --init X,Y,W,H --out runs/{name}` tracks with it"
+    )
     return OK
 
 

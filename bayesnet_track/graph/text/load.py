@@ -272,8 +272,7 @@ def _load_file(path: Path, cues: Cues | None) -> CheckedGraph:
 
 
 def _no_such_graph(name: str) -> GraphMessage:
-    names = graph_names()
-    remedy = f"{', '.join(names)}, or a path to a file"
+    remedy = "a name that `bayesnet-track list` prints, or a path to a file"
     return GraphMessage(
-        name, 1, 1, (), "graph", "no installed graph of this name", remedy, nearest(name, names)
+        name, 1, 1, (), "graph", "no installed graph of this name", remedy, nearest(name, graph_names())
     )

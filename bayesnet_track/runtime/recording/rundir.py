@@ -122,8 +122,9 @@ class RunDirectory:
                 )
             is_there = disk.is_there(run.path)
             if not run.journal.is_file():
-                fault = f"no {FILES['journal']} in it{_runs_in(run.path)}" if is_there else "no such folder"
-                raise RunDirectoryError(f"{run.path}: not a run directory: {fault}")
+                fault = f"no {FILES['journal']} in it" if is_there else "no such folder"
+                folder = run.path if is_there else run.path.parent
+                raise RunDirectoryError(f"{run.path}: not a run directory: {fault}{_runs_in(folder)}")
         except OSError as error:  # a name that is too long
             if isinstance(error, RunDirectoryError):
                 raise
@@ -226,4 +227,4 @@ def _runs_in(folder: Path) -> str:
     """The runs that a folder holds, for a message."""
     names = sorted(journal.parent.name for journal in folder.glob(f"*/{FILES['journal']}"))
     remainder = f" and {len(names) - 5} more" if len(names) > 5 else ""
-    return f"; runs in it: {', '.join(names[:5])}{remainder}" if names else ""
+    return f"; runs in {folder}: {', '.join(names[:5])}{remainder}" if names else ""
