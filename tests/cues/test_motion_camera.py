@@ -11,6 +11,7 @@ from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
 from bayesnet_track.sources.scenes import make_scene
 from bayesnet_track.vision.motion_planes import CameraPlane, against_background
+from tests.cues.moving_scenery import drawn_scenery, seen, shifted
 
 WIDTH, HEIGHT = 320, 240
 WHOLE = Region(0, 0, WIDTH, HEIGHT)
@@ -19,24 +20,7 @@ CORNERS = np.array([[0, 0], [WIDTH, 0], [0, HEIGHT], [WIDTH, HEIGHT], [WIDTH / 2
 
 @pytest.fixture(scope="module")
 def scenery() -> np.ndarray:
-    """Texture with fine and coarse structure, 60 px larger than the picture on each side."""
-    rng = np.random.default_rng(5)
-    image = np.zeros((HEIGHT + 120, WIDTH + 120))
-    for sd in (1.5, 4.0, 12.0):
-        layer = cv2.GaussianBlur(rng.normal(size=image.shape), (0, 0), sd)
-        image += 30.0 * layer / layer.std()
-    return np.clip(image + 128.0, 0, 255)
-
-
-def seen(scenery: np.ndarray, move: np.ndarray) -> np.ndarray:
-    """The picture in which a point at p before is now at move @ (p, 1)."""
-    whole = np.vstack([move, [0, 0, 1]]) @ np.array([[1, 0, -60], [0, 1, -60], [0, 0, 1]])
-    image = cv2.warpAffine(scenery, whole[:2], (WIDTH, HEIGHT), flags=cv2.INTER_CUBIC)
-    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
-
-
-def shifted(dx: float, dy: float) -> np.ndarray:
-    return np.array([[1, 0, dx], [0, 1, dy]], float)
+    return drawn_scenery(WIDTH, HEIGHT)
 
 
 def about_centre(degrees: float, zoom: float) -> np.ndarray:

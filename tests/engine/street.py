@@ -43,6 +43,17 @@ def boxes_of(places, camera=CAMERA):
     return camera.boxes(np.column_stack([places, np.tile([WIDTH[0], HEIGHT[0]], (len(places), 1))]))
 
 
+def moved(mean, covariance, dt):
+    """Mean (6,) and covariance of a walk on the ground after `dt` seconds: x, y, w, h, vx, vy in metres."""
+    ahead, noise = np.eye(6), np.zeros((6, 6))
+    for k in (0, 1):
+        ahead[k, k + 4] = dt
+        chain = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        noise[np.ix_([k, k + 4], [k, k + 4])] = SPEED_SD**2 * chain
+        noise[k + 2, k + 2] = SIZE_SD**2 * dt
+    return ahead @ mean, ahead @ covariance @ ahead.T + noise
+
+
 def noisy(boxes, rng):
     return boxes + NOISE * boxes[:, [2, 3, 2, 3]] * rng.standard_normal(boxes.shape)
 

@@ -26,6 +26,7 @@ from tests.engine.street import (
     boxes_of,
     camera_at,
     detections_of,
+    moved,
     noisy,
     write_camera,
 )
@@ -95,16 +96,6 @@ def corner_of(box):
 
 
 # ---------------------------------------------------------------- references
-
-
-def moved(mean, covariance, dt):
-    ahead, noise = np.eye(6), np.zeros((6, 6))
-    for k in (0, 1):
-        ahead[k, k + 4] = dt
-        chain = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-        noise[np.ix_([k, k + 4], [k, k + 4])] = SPEED_SD**2 * chain
-        noise[k + 2, k + 2] = SIZE_SD**2 * dt
-    return ahead @ mean, ahead @ covariance @ ahead.T + noise
 
 
 def error_of(box):

@@ -19,6 +19,7 @@ from tests.engine.street import (
     WIDTH,
     camera_at,
     detections_of,
+    moved,
     noisy,
     write_camera,
 )
@@ -90,16 +91,6 @@ FIELDS = ("x_m", "y_m", "w_m", "h_m", "vx", "vy")
 
 
 # ---------------------------------------------------------------- the filter written out
-
-
-def moved(mean, covariance, dt):
-    ahead, noise = np.eye(6), np.zeros((6, 6))
-    for k in (0, 1):
-        ahead[k, k + 4] = dt
-        chain = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-        noise[np.ix_([k, k + 4], [k, k + 4])] = SPEED_SD**2 * chain
-        noise[k + 2, k + 2] = SIZE_SD**2 * dt
-    return ahead @ mean, ahead @ covariance @ ahead.T + noise
 
 
 def corrected(camera, mean, covariance, box):
