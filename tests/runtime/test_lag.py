@@ -103,16 +103,20 @@ def test_a_crowd_is_the_same_in_any_order_of_arrival(seed):
     assert len(crowd_in_order()) == len(shuffled)
 
 
-def test_cameras_that_come_apart_are_one_step(tmp_path):
-    graph, arrivals = write_graph(tmp_path), room()
+@pytest.mark.parametrize("learnt", [{}, {"bias_px": {"sd": 5}, "clock": {"offset_s": {"sd": 0.5}}}])
+def test_cameras_that_come_apart_are_one_step(tmp_path, learnt):
+    path, arrivals = write_graph(tmp_path), room()
+    graph = json.loads(path.read_text())
+    graph["cameras"]["east"] |= learnt
+    path.write_text(json.dumps(graph))
     together: dict[float, dict] = {}
     for time_s, detections in arrivals:
         together.setdefault(time_s, {}).update(detections)
-    in_order = final_steps(DetectionsTracker(graph, fps=FPS, lag_s=LAG), together.items())
+    in_order = final_steps(DetectionsTracker(path, fps=FPS, lag_s=LAG), together.items())
     for seed in range(2):
         shuffled = late(arrivals, np.random.default_rng(seed))
         assert shuffled != arrivals
-        assert final_steps(DetectionsTracker(graph, fps=FPS, lag_s=LAG), shuffled) == in_order
+        assert final_steps(DetectionsTracker(path, fps=FPS, lag_s=LAG), shuffled) == in_order
     assert len(in_order) == len(together)
 
 
