@@ -133,7 +133,7 @@ class ForegroundColor:
             SHARPER: np.array(1.0),
         }
         learnt["posterior"] = self._posterior(learnt)
-        contrast = self.contrasts(frame, box[None], learnt["posterior"])[0]
+        contrast = self.contrasts(frame, box[None], learnt)[0]
         return {**learnt, "contrast": np.array(contrast)}
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
@@ -155,7 +155,7 @@ class ForegroundColor:
         target_contrast = float(reference["contrast"])
         if target_contrast <= 0.0:
             return np.zeros(len(hypotheses))
-        contrast = self.contrasts(planes.frame, hypotheses.boxes, reference["posterior"])
+        contrast = self.contrasts(planes.frame, hypotheses.boxes, reference)
         log = p.gain * factor_of(reference) * np.minimum(contrast - target_contrast, 0.0)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(log + size, p.floor)
@@ -175,11 +175,12 @@ class ForegroundColor:
 
         return posterior(shares, self.parameters.memory, self.parameters.prior)
 
-    def contrasts(self, frame: Frame, boxes: Floats, levels: Bytes) -> Floats:
+    def contrasts(self, frame: Frame, boxes: Floats, reference: Reference) -> Floats:
         """(N,) mean posterior inside the box less that in the ring."""
         from bayesnet_track.vision.kernels.mean_shift_kernels import means
 
-        box_means, ring_means = means(frame, self._cells(frame), levels, boxes, self.parameters.ring).T
+        levels, ring = reference["posterior"], self.parameters.ring
+        box_means, ring_means = means(frame, self._cells(frame), levels, boxes, ring, reference["size"]).T
         return np.asarray(box_means - ring_means)
 
 

@@ -28,7 +28,7 @@ from bayesnet_track.observation.cue import (
 )
 from bayesnet_track.observation.geometry import HALF_OVERLAP
 from bayesnet_track.observation.planes import Plane, Planes
-from bayesnet_track.vision.planes import TextureCodes
+from bayesnet_track.vision.planes import TextureCodes, WholeFrame
 
 STEP = 0.7
 """Factor of a local action on alpha."""
@@ -81,13 +81,9 @@ class Texture:
     context: ClassVar[float] = 0.5  # boxes half a box away
 
     @property
-    def _plane(self) -> TextureCodes:
-        return TextureCodes(self.parameters.form, self.parameters.noise_gray)
-
-    @property
     def needs(self) -> tuple[Plane, ...]:
-        """A code per pixel."""
-        return (self._plane,)
+        """The whole picture, of which codes are made on the grid of the target."""
+        return (WholeFrame(),)
 
     def learn(self, planes: Planes, box: Floats) -> Reference:
         """The shares of the box, each cell's summing to 1 if it was seen, and alpha from its surroundings.
@@ -98,7 +94,7 @@ class Texture:
         p = self.parameters
         boxes = np.tile(box, (5, 1)).astype(np.float64)
         boxes[1:, :2] += HALF_OVERLAP * box[2:]
-        shares, *shifted = self._shares(planes, boxes)
+        shares, *shifted = self._shares(planes, boxes, box[2:])
         cell_sums = shares.sum(axis=-1, keepdims=True)
         shares = np.divide(shares, cell_sums, out=np.zeros_like(shares), where=cell_sums > 0)
         alpha = p.alpha_share * float(_distances(np.array(shifted), shares).mean())
@@ -122,7 +118,7 @@ class Texture:
         p, alpha = self.parameters, float(reference["alpha"]) * factor_of(reference)
         if not reference["shares"].any():
             return np.zeros(len(hypotheses))
-        distances = _distances(self._shares(planes, hypotheses.boxes), reference["shares"])
+        distances = _distances(self._shares(planes, hypotheses.boxes, reference["size"]), reference["shares"])
         similarity = log_logistic(distances, alpha)
         size = log_size_penalty(hypotheses.boxes, reference["size"], p.sd_log_area, p.sd_log_aspect)
         return floored(similarity + size, p.floor)
@@ -131,25 +127,25 @@ class Texture:
         """A sharper likelihood; None at once when the reference has seen nothing."""
         return sharpen(reference, attempt, STEP) if reference["shares"].any() else None
 
-    def _shares(self, planes: Planes, boxes: Floats) -> Floats:
-        """(N, cells, cells, codes) share of each code."""
+    def _shares(self, planes: Planes, boxes: Floats, size: Floats) -> Floats:
+        """(N, cells, cells, codes) share of each code in boxes of a target of `size` (2,), px."""
+        from bayesnet_track.numerics.compiled import plain
         from bayesnet_track.vision.kernels.patch_kernels import (
             cell_shares,
             counted_shares,
             integral_histogram,
         )
-        from bayesnet_track.vision.planes import seen_cells
 
-        plane, cells = self._plane, self.parameters.cells
-        boxes = np.ascontiguousarray(boxes, dtype=np.float64)
-        codes, first = seen_cells(planes, plane, boxes)
-        shares = np.empty((len(boxes), cells, cells, plane.bins))
+        form, cells = TextureCodes(self.parameters.form, self.parameters.noise_gray), self.parameters.cells
+        grid = form.grid(planes.frame, boxes, size)
+        codes, boxes = grid.values, plain(grid.boxes(boxes))
+        shares = np.empty((len(boxes), cells, cells, form.bins))
         if len(boxes) <= FEW:
-            counted_shares(codes, boxes, int(first[0]), int(first[1]), cells, shares)
+            counted_shares(codes, boxes, 0, 0, cells, shares)
             return shares
-        integral = np.empty((codes.shape[0] + 1, codes.shape[1] + 1, plane.bins), np.int32)
+        integral = np.empty((codes.shape[0] + 1, codes.shape[1] + 1, form.bins), np.int32)
         integral_histogram(codes, integral)
-        cell_shares(integral, boxes, int(first[0]), int(first[1]), cells, shares)
+        cell_shares(integral, boxes, 0, 0, cells, shares)
         return shares
 
 

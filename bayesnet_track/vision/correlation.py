@@ -167,51 +167,29 @@ def _features(resized: Bytes, cells: int, signed: bool) -> Singles:
 
 
 def _cut_shrunk(image: Bytes, left: int, top: int, side: int, times: int) -> Bytes:
-    """(side, side, 3) means of `times` x `times` px from column `left` and row `top`: nothing aliases.
+    """(side, side, 3) colours of squares of `times` x `times` px from column `left` and row `top`.
 
-    What lies farther beyond the image than one of these squares is that square's again.
+    The mean of four pixels spread over a square stands for it, so that a large target takes no longer than a
+    small one. Beyond the image its border is repeated.
     """
-    if times == 1:
-        return _cut(image, left, top, (side, side))
+    if times > 1:
+        from bayesnet_track.vision.kernels.patch_kernels import sample_squares
+
+        sampled = np.empty((side, side, 3), np.uint8)
+        sample_squares(for_reading(image), left, top, times, 2, sampled)
+        return sampled
     import cv2
 
-    height, width = image.shape[:2]
-    (x0, x1), (y0, y1) = (
-        (
-            min(max(-first // times - 1, 0), side - 1),
-            max(min((size - 1 - first) // times + 2, side), 1),
-        )
-        for first, size in ((left, width), (top, height))
-    )
-    part = _cut(image, left + x0 * times, top + y0 * times, ((y1 - y0) * times, (x1 - x0) * times))
-    small = cv2.resize(part, (x1 - x0, y1 - y0), interpolation=cv2.INTER_AREA)
-    return np.asarray(_bordered(small, y0, x0, (side, side)), np.uint8)
-
-
-def _cut(image: Bytes, left: int, top: int, size: tuple[int, int]) -> Bytes:
-    """(rows, columns, 3) of the image, as many as `size`, from column `left` and row `top`."""
     height, width = image.shape[:2]
     # a crop beside the frame holds one line of its border
-    x0, x1 = min(max(left, 0), width - 1), max(min(left + size[1], width), 1)
-    y0, y1 = min(max(top, 0), height - 1), max(min(top + size[0], height), 1)
-    part = image[y0:y1, x0:x1]
-    rows_before = min(max(-top, 0), size[0] - (y1 - y0))
-    columns_before = min(max(-left, 0), size[1] - (x1 - x0))
-    return _bordered(part, rows_before, columns_before, size)
-
-
-def _bordered(part: Bytes, rows_before: int, columns_before: int, size: tuple[int, int]) -> Bytes:
-    """The part below so many rows and beside so many columns like its first, up to `size` like its last."""
-    import cv2
-
-    rows, columns = part.shape[:2]
-    if (rows, columns) == size:
+    x0, x1 = min(max(left, 0), width - 1), max(min(left + side, width), 1)
+    y0, y1 = min(max(top, 0), height - 1), max(min(top + side, height), 1)
+    part, rows, columns = image[y0:y1, x0:x1], y1 - y0, x1 - x0
+    if rows == columns == side:
         return part
-    appended = size[0] - rows - rows_before, size[1] - columns - columns_before
-    kind = cv2.BORDER_REPLICATE
-    return np.asarray(
-        cv2.copyMakeBorder(part, rows_before, appended[0], columns_before, appended[1], kind), np.uint8
-    )
+    upper, first = min(max(-top, 0), side - rows), min(max(-left, 0), side - columns)
+    borders = upper, side - rows - upper, first, side - columns - first
+    return np.asarray(cv2.copyMakeBorder(part, *borders, cv2.BORDER_REPLICATE), np.uint8)
 
 
 Spectra = NDArray[np.complex64]

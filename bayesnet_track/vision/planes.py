@@ -9,14 +9,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Array, Floats, Image, Singles
+from bayesnet_track.numerics.arrays import Array, Floats, Image, Ints, Singles
 from bayesnet_track.observation.geometry import crop_of
-from bayesnet_track.observation.planes import FramePair, Plane, Planes, Region, for_reading, region_of_boxes
+from bayesnet_track.observation.planes import (
+    Frame,
+    FramePair,
+    Plane,
+    Planes,
+    Region,
+    for_reading,
+    region_of_boxes,
+)
 
 
 @dataclass(frozen=True)
@@ -168,6 +176,72 @@ def _layout(levels: int, last_levels: int) -> NDArray[np.uint16]:
     return layout
 
 
+GRID_SIDE = 64
+"""Pixels of a grid along the side of a target, about, at least: one of twice as many px is read on a grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Pixels of a part of a frame: all of them, or of a large target every `step`-th column and row.
+
+    They lie on the same columns and rows of the frame wherever the part begins.
+
+    Attributes:
+        values: (rows, columns) or (rows, columns, 3), C order, read-only.
+        x: column of the first pixel, frame px; likewise `y`.
+        step: between columns and between rows, px.
+    """
+
+    values: Array
+    x: int
+    y: int
+    step: int
+
+    def boxes(self, boxes: Floats) -> Floats:
+        """Centre boxes (..., 4) of the frame in steps of the grid from its first pixel."""
+        if self.step == 1 and self.x == self.y == 0:
+            return boxes
+        return np.asarray((boxes - np.array([self.x, self.y, 0.0, 0.0])) / self.step)
+
+    @classmethod
+    def of_image(cls, frame: Frame, boxes: Floats, size: Floats, ring: float = 0.0) -> Self:
+        """Pixels (rows, columns, 3) in centre boxes (N, 4) of a target of `size` (2,), and in their rings.
+
+        A ring is `ring` mean sides of its box wide. The whole image where every pixel is taken.
+        """
+        step = step_of(size)
+        if step == 1:
+            return cls(for_reading(frame.image), 0, 0, 1)
+        from bayesnet_track.vision.kernels.patch_kernels import sample_squares
+
+        sides = boxes[:, 2:] + ring * (boxes[:, 2:3] + boxes[:, 3:4])
+        rows, columns = _grid_lines(frame, np.concatenate([boxes[:, :2], sides], axis=1), step)
+        sampled, half = np.empty((len(rows), len(columns), 3), np.uint8), step // 2
+        sample_squares(for_reading(frame.image), columns.start - half, rows.start - half, step, 1, sampled)
+        return cls(for_reading(sampled), columns.start, rows.start, step)
+
+
+def step_of(size: Floats) -> int:
+    """Step of the grid on which a target of `size` (2,), px, is read: 1 if a side has less than 128 px.
+
+    Of any larger target a grid has 64 to 128 pixels a side (the root of its area).
+    """
+    return max(int(math.sqrt(float(size[0]) * float(size[1])) // GRID_SIDE), 1)
+
+
+def _grid_lines(frame: Frame, boxes: Floats, step: int) -> tuple[range, range]:
+    """Rows and columns, px, of the grid of a `step` that centre boxes (N, 4) may hold inside the frame."""
+    region = region_of_boxes(boxes).within(frame)
+    rows, columns = (
+        range(start // step * step + step // 2, min(-(-stop // step) * step, length), step)
+        for start, stop, length in (
+            (region.y0, region.y1, frame.height),
+            (region.x0, region.x1, frame.width),
+        )
+    )
+    return rows, columns
+
+
 def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floats]:
     """The cells inside `boxes` (N, 4), whatever else was computed, and the x, y of their first pixel."""
     cells, first = crop_of(planes, plane, region_of_boxes(boxes).within(planes.frame))
@@ -176,7 +250,7 @@ def seen_cells(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Array, Floa
 
 @dataclass(frozen=True)
 class TextureCodes:
-    """Code of each pixel, (rows, columns) uint8, below `bins`.
+    """Code of each pixel, uint8, below `bins`, from its neighbours.
 
     Attributes:
         form: `patterns`, uniform local binary patterns of the 8 neighbours, however turned; or `gradients`,
@@ -186,32 +260,36 @@ class TextureCodes:
 
     form: Literal["patterns", "gradients"] = "gradients"
     noise: int = 8
-    margin: ClassVar[int] = 1
-    inputs: ClassVar[tuple[Plane, ...]] = ()
-    is_points: ClassVar[bool] = False
 
     @property
     def bins(self) -> int:
         """Number of codes."""
         return 10 if self.form == "patterns" else 9
 
-    def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
-        """Codes on `region`; beyond the frame its border is repeated."""
+    def grid(self, frame: Frame, boxes: Floats, size: Floats) -> Grid:
+        """Codes (rows, columns) in the centre boxes (N, 4) of a target of `size` (2,), px.
+
+        Beyond the frame its border is repeated. The neighbours of a pixel are those in the frame, one pixel
+        away, also where the grid has larger steps: what a texture is does not depend on them.
+        """
         from bayesnet_track.vision.kernels.patch_kernels import binary_patterns, gradient_directions
 
-        codes = np.empty((max(region.y1 - region.y0, 0), max(region.x1 - region.x0, 0)), np.uint8)
-        if codes.size == 0:
-            return codes
-        grown = region.grown(1)
-        has = grown.within(frames.current)
-        beyond = ((has.y0 - grown.y0, grown.y1 - has.y1), (has.x0 - grown.x0, grown.x1 - has.x1))
-        values = gray(has.of(frames.current.image))
-        values = values if has == grown else np.pad(values, beyond, mode="edge")
-        if self.form == "patterns":
-            binary_patterns(values, self.noise, codes)
-        else:
-            gradient_directions(values, self.noise, codes)
-        return codes
+        step = step_of(size)
+        rows, columns = _grid_lines(frame, boxes, step)
+        if not (rows and columns):
+            return Grid(np.zeros((0, 0), np.uint8), columns.start, rows.start, step)
+        y, x = _with_neighbours(rows, frame.height), _with_neighbours(columns, frame.width)
+        values = gray(frame.image[:, x[0] : x[-1] + 1].take(y, axis=0)).take(x - x[0], axis=1)
+        codes, spread = np.empty((len(y) - 2, len(x) - 2), np.uint8), 1 if step == 1 else 3
+        fill = binary_patterns if self.form == "patterns" else gradient_directions
+        fill(values, self.noise, codes)
+        return Grid(for_reading(codes[::spread, ::spread]), columns.start, rows.start, step)
+
+
+def _with_neighbours(lines: range, length: int) -> Ints:
+    """Each row (or column) of a grid between its neighbours, as far as inside a frame of `length` px."""
+    steps = np.arange(lines.start - 1, lines[-1] + 2) if lines.step == 1 else np.add.outer(lines, [-1, 0, 1])
+    return np.asarray(steps.ravel().clip(0, length - 1))
 
 
 SOBEL = 8.0

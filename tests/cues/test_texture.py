@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.observation.planes import Region
 from bayesnet_track.vision.kernels.patch_kernels import binary_patterns, gradient_directions
+from bayesnet_track.vision.planes import TextureCodes
 
 
 def codes_of(kernel, gray, *settings):
@@ -40,7 +40,8 @@ def test_the_likelihood_is_that_of_the_counted_codes(ask, scene, form):
     """Boxes of whole cells, within and across the border: counted one by one, outside pixels are no match."""
     asked = ask("texture", form=form, floor=1e-6, sd_log_area=1e6, sd_log_aspect=1e6)
     pair, p = scene.pair(), asked.cue.parameters
-    codes = asked.planes(pair, Region(0, 0, scene.width, scene.height))[asked.cue.needs[0]]
+    whole = np.array([[(scene.width - 1) / 2, (scene.height - 1) / 2, scene.width, scene.height]])
+    codes = TextureCodes(form, p.noise_gray).grid(pair.current, whole, np.ones(2)).values
     box = np.array([150.0, 120.0, 45.0, 33.0])
     reference = asked.learn(pair, box)
 

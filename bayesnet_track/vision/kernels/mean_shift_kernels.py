@@ -22,6 +22,7 @@ from bayesnet_track.vision.kernels.color_kernels import (
     count_cells,
     ring_shares,
 )
+from bayesnet_track.vision.planes import Grid
 
 TOP = 255
 """Level of a colour that is surely the target's."""
@@ -66,13 +67,15 @@ _OF_FRAME: WeakKeyDictionary[Frame, dict[tuple[CellLayout, bytes], Floats]] = We
 def count_pixels(frame: Frame, cells: CellLayout, boxes: Floats) -> Floats:
     """(K, cells) visible pixels of the centre boxes (K, 4) in each cell; each box holds the next.
 
-    They are kept while the frame lives: an agent and a verifier learn in the same box.
+    Those on the `Grid.of_image` of the last one. They are kept while the frame lives: an agent and a verifier
+    learn in the same box.
     """
     of_frame, key = _OF_FRAME.setdefault(frame, {}), (cells, boxes.tobytes())
     counts = of_frame.get(key)
     if counts is None:
         filled = np.empty((len(boxes), cells.count))
-        count_cells(for_reading(frame.image), cells.layout, plain(boxes), filled)
+        grid = Grid.of_image(frame, boxes, boxes[-1, 2:])
+        count_cells(grid.values, cells.layout, plain(grid.boxes(boxes)), filled)
         counts = read_only(filled)
         if len(of_frame) >= KEPT:
             of_frame.clear()
@@ -90,17 +93,15 @@ def shares_of(counts: Floats) -> Floats:
     return filled
 
 
-def grow_boxes(boxes: Floats, ring: float) -> Floats:
-    """Centre boxes (..., 4) with a ring of `ring` mean sides around them."""
-    growth = ring * (boxes[..., 2:3] + boxes[..., 3:4])
-    return np.concatenate([boxes[..., :2], boxes[..., 2:] + growth], axis=-1)
+def means(frame: Frame, cells: CellLayout, levels: Bytes, boxes: Floats, ring: float, size: Floats) -> Floats:
+    """(N, 2) mean posterior, 0..1, inside each centre box (N, 4) and in a ring of `ring` mean sides.
 
-
-def means(frame: Frame, cells: CellLayout, levels: Bytes, boxes: Floats, ring: float) -> Floats:
-    """(N, 2) mean posterior, 0..1, inside each centre box (N, 4) and in a ring of `ring` mean sides."""
+    Of the pixels of the `Grid.of_image` of a target of `size` (2,).
+    """
     shares = np.empty((len(boxes), 2))
-    image = for_reading(frame.image)
-    box_and_ring_means(image, cells.layout, for_reading(levels), plain(boxes), ring, shares)
+    grid = Grid.of_image(frame, boxes, size, ring)
+    boxes = plain(grid.boxes(boxes))
+    box_and_ring_means(grid.values, cells.layout, for_reading(levels), boxes, ring, shares)
     return shares / TOP
 
 

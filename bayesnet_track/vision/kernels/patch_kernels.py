@@ -416,3 +416,35 @@ def bhattacharyya(shares: Floats, reference: Floats, coefficients: Floats) -> No
                 for b in range(reference.shape[2]):
                     total += np.sqrt(shares[k, i, j, b] * reference[i, j, b])
         coefficients[k] = min(total / (cells * cells), 1.0)
+
+
+@compiled
+def sample_squares(image: Bytes, left: int, top: int, side: int, samples: int, sampled: Bytes) -> None:
+    """Fill `sampled` (rows, columns, 3) with a colour of each of the squares that divide a part of an image.
+
+    It is the mean, rounded, of `samples` x `samples` pixels spread over the square: the one in the middle, or
+    four of which each stands for a quarter. Beyond the image its border is repeated.
+
+    Args:
+        image: (H, W, 3), C order.
+        left: first column of the first square, px; likewise `top`.
+        side: of a square, px.
+        samples: 1, or 2 of squares of 2 px or more.
+        sampled: filled.
+    """
+    last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
+    first = side // 2 if samples == 1 else side // 4
+    second = first if samples == 1 else side - 1 - first
+    for j in range(sampled.shape[0]):
+        upper = image[min(max(top + j * side + first, 0), last_row)]
+        lower = image[min(max(top + j * side + second, 0), last_row)]
+        for i in range(sampled.shape[1]):
+            x = min(max(left + i * side + first, 0), last_column)
+            if samples == 1:
+                for c in range(3):
+                    sampled[j, i, c] = upper[x, c]
+                continue
+            right = min(max(left + i * side + second, 0), last_column)
+            for c in range(3):
+                total = np.uint32(upper[x, c]) + upper[right, c] + lower[x, c] + lower[right, c]
+                sampled[j, i, c] = np.uint8((total + 2) >> 2)
