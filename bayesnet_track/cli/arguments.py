@@ -183,8 +183,8 @@ def add_plugins(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="Python file with a cue of your own, as CUE = CueDeclaration(...), which graphs may name; its "
-        "code is run; may be repeated",
+        help="Python file that defines a cue, as CUE = CueDeclaration(...), for graphs to use; its code is "
+        "run; may be repeated",
     )
 
 

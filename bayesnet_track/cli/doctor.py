@@ -354,7 +354,7 @@ def add_doctor(commands: argparse._SubParsersAction[Any]) -> None:
         "doctor",
         help="check the installation, and print how to repair it",
         description="Check the installation: versions, OpenCV's wheels, plug-ins, and ten frames through the "
-        "program's own path. The exit code is 1 when something is broken. If nothing else works, "
-        "this does: python -m bayesnet_track doctor",
+        "program's own path. The exit code is 1 when something is broken. If the command "
+        "itself is missing: python -m bayesnet_track doctor",
     )
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")

@@ -36,8 +36,8 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--allow-other-machine",
         action="store_true",
-        help="of --hosts ray: take hosts with another type of processor, or other versions, although the "
-        "last digits of results are others then",
+        help="with --hosts ray: also use hosts with another type of processor, or other versions; the last "
+        "digits of results then differ",
     )
 
 
@@ -86,9 +86,8 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         "--hosts",
         choices=["engine", "process", "ray"],
         default="engine",
-        help="where each of several cameras is decoded, and the agents that look at it work: in the engine's "
-        "process, in one of its own, or on the node of a Ray cluster that has a resource of the camera's "
-        "name (default engine)",
+        help="where each camera is decoded and its agents run: in the engine's process (default), in a "
+        "process of its own, or on the node of a Ray cluster that has a resource of the camera's name",
     )
     group.add_argument(
         "--workers",
@@ -101,8 +100,8 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="AGENT=WHERE",
-        help="put an agent into the engine or a process: flow=process, person.flow=engine; goes before `on` "
-        "in the graph",
+        help="put an agent into the engine or a process: flow=process, person.flow=engine; takes precedence "
+        "over `on` in the graph",
     )
     group.add_argument(
         "--agent-timeout",
@@ -124,7 +123,7 @@ def add_outside_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--inputs",
         metavar="FILE",
-        help="inputs.jsonl of an earlier run: repeat its external inputs (switches by hand, faults)",
+        help="inputs.jsonl of an earlier run: repeat its external inputs (manual switches, faults)",
     )
     group.add_argument(
         "--budget-ms",
@@ -216,8 +215,8 @@ def add_size_option(parser: argparse.ArgumentParser) -> None:
         "--max-side",
         type=_max_side,
         metavar="PX",
-        help="use smaller frames, their longer side at most PX; boxes stay in pixels of the source, lengths "
-        "in the graph, or of the detector, count those of the smaller frames",
+        help="scale frames down until their longer side is at most PX; boxes stay in pixels of the source, "
+        "but lengths in the graph, or of the detector, are pixels of the smaller frames",
     )
 
 
@@ -241,8 +240,8 @@ def add_range_option(parser: argparse.ArgumentParser) -> None:
         dest="value_range",
         type=value_range,
         metavar="LOW,HIGH",
-        help="values that become black and white in the 8 bits in which frames are tracked, of images and "
-        "videos with more bits; for negative ones --range=LOW,HIGH (default: all of 16 bits)",
+        help="for images and videos of more than 8 bits: the values that become black and white in the 8 "
+        "bits that are tracked (default: all of 16 bits); write --range=LOW,HIGH if one is negative",
     )
 
 
@@ -268,7 +267,7 @@ def add_window_options(parser: argparse.ArgumentParser) -> None:
         "--live",
         action=argparse.BooleanOptionalAction,
         help="read the newest frame of a URL and reconnect, or (--no-live) every frame up to its end "
-        "(default: live where it seems to have no end)",
+        "(default: live if it seems to have no end)",
     )
 
 

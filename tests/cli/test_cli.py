@@ -1024,7 +1024,7 @@ def test_log_explains_a_score_by_the_coefficients_of_the_graph(cli, images, tmp_
 
 
 def test_log_says_when_nothing_is_left(cli, demo_run):
-    assert cli(f"log {demo_run} --kind quarantined") == (0, "", "no event is left by these filters\n")
+    assert cli(f"log {demo_run} --kind quarantined") == (0, "", "no events match\n")
 
 
 def test_a_torn_last_line_is_dropped_with_a_notice(cli, demo_run, tmp_path):

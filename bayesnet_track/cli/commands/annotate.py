@@ -194,7 +194,7 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         help="label every frame of a video; it tracks, and asks only where it is unsure",
         description="Open a page in the browser: draw a box; the tracker runs ahead until the probability "
         "of being on target falls. There it asks for a box, `gone` or `correct`, and tracks again from the "
-        "answer, forward and backward. Every answer is on the disk at once; the same command resumes.",
+        "answer, forward and backward. Every answer is saved at once; the same command resumes.",
     )
     annotate.add_argument("video", nargs="?", metavar="VIDEO", help="video file, or folder of images")
     annotate.add_argument("-o", "--out", metavar="ANNOTATIONS", help="folder of answers and annotations")
@@ -223,11 +223,11 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         action="append",
         default=[],
         metavar="FILE",
-        help="boxes of another tool, which count as given: COCO, MOT, CVAT, Label Studio, a YOLO folder, or "
-        "a zip of one of them",
+        help="boxes from another tool, taken as answers: COCO, MOT, CVAT, Label Studio, a YOLO folder, or a "
+        "zip of one of them",
     )
     annotate.add_argument(
-        "--no-view", action="store_true", help="open no page: track, write, and print what is to be asked"
+        "--no-view", action="store_true", help="open no page: track, write, and print what it would ask"
     )
     add_identity_options(annotate)
     page = annotate.add_argument_group("page")

@@ -235,11 +235,11 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         help="instead, a list of videos: CSV or JSON Lines with source, name, init, init_from, truth",
     )
     start = batch.add_mutually_exclusive_group()
-    start.add_argument("--init", metavar="X,Y,W,H", help="start box in the first frame of each")
+    start.add_argument("--init", metavar="X,Y,W,H", help="start box in the first frame of each video")
     start.add_argument(
         "--init-from",
         metavar="PATTERN",
-        help="ground-truth file whose first box starts it: {folder}/groundtruth.txt, truth/{name}.txt",
+        help="ground-truth file whose first box is the start box: {folder}/groundtruth.txt, truth/{name}.txt",
     )
     batch.add_argument("--truth", metavar="PATTERN", help="ground-truth file to score with, in the same way")
     add_truth_format(batch)
@@ -253,20 +253,20 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
         "--part",
         type=_part,
         metavar="K/N",
-        help="only every N-th video, from the K-th on: one of N computers that share the work below DIR",
+        help="only every N-th video, from the K-th on: for one of N computers that share the work in DIR",
     )
     batch.add_argument(
         "--cpus",
         type=whole_number(1),
         default=1,
         metavar="N",
-        help="processors that a run is counted with (default 1)",
+        help="processors to reserve for each run (default 1)",
     )
     batch.add_argument(
         "--memory",
         type=_amount,
         metavar="SIZE",
-        help="memory that a run is counted with, as 800M or 2G (default: not counted)",
+        help="memory to reserve for each run, as 800M or 2G (default: none)",
     )
     batch.add_argument(
         "--timeout",

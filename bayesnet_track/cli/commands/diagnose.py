@@ -305,9 +305,9 @@ def add_diagnose(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     parser = commands.add_parser(
         "diagnose",
-        help="find what went wrong in a run, and which key to turn",
+        help="find what went wrong in a run, and which setting to change",
         description="Read the files of a run, report what stands out, and name a key and a value to try. "
-        "Nothing is tracked again, but with --try.",
+        "Only --try tracks again.",
     )
     parser.add_argument("run", metavar="RUN", help="run directory")
     parser.add_argument("--target", metavar="ID", help="only this target")
@@ -315,6 +315,6 @@ def add_diagnose(commands: argparse._SubParsersAction[Any]) -> None:
         "--try",
         dest="try_settings",
         action="store_true",
-        help="where identities go on as others: track again with each setting that may keep them, and count",
+        help="where identities switch: track again with each setting that may prevent it, and count",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")

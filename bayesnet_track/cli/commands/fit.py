@@ -315,7 +315,7 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     )
     add_truth_format(fit)
     fit.add_argument(
-        "--folder", metavar="DATA", help="folder of NAME/img with NAME/groundtruth.txt: all of them"
+        "--folder", metavar="DATA", help="use every NAME/img in this folder that has NAME/groundtruth.txt"
     )
     add_range_option(fit)
     fit.add_argument("--end", type=whole_number(2), metavar="N", help="frame of each video to stop before")
@@ -345,8 +345,8 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         "--guarantee",
         type=_share,
         metavar="SHARE",
-        help="calibrate, instead of --what, the level above which frames are called tracking, so that on "
-        "average over new videos at most this share of frames is while off target",
+        help="instead of --what: calibrate the score from which on a frame counts as tracking, so that over "
+        "new videos on average at most this share of frames counts so while off target",
     )
     fit.add_argument(
         "--alarm",

@@ -222,7 +222,7 @@ def add_graph(commands: argparse._SubParsersAction[Any]) -> None:
     graph = commands.add_parser("graph", help="show what a graph compiles to")
     graph.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     graph.add_argument(
-        "--target", metavar="NAME", help="the plate to show (default: all; of a drawing, the first)"
+        "--target", metavar="NAME", help="the target type to show (default: all; in a drawing, the first)"
     )
     graph.add_argument("--plan", action="store_true", help="print the stages that a frame goes through")
     graph.add_argument("--formula", action="store_true", help="print the density that the net stands for")
@@ -287,9 +287,9 @@ def add_init(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command."""
     parser = commands.add_parser(
         "init",
-        help="write a commented graph, copied from one of the library",
-        description="Copy a graph of the library, with its comments, to begin your own. "
-        "`bayesnet-track list` names the graphs and says what each is for.",
+        help="write a commented graph, a copy of an installed one",
+        description="Copy an installed graph, with its comments, as a start for your own. "
+        "`bayesnet-track list` prints what each graph is for.",
     )
     parser.add_argument(
         "file", nargs="?", default="mine.yaml", metavar="FILE", help="graph file to write (default mine.yaml)"

@@ -281,7 +281,7 @@ def add_learn_stereo(commands: argparse._SubParsersAction[Any]) -> None:
         type=whole_number(0),
         default=10,
         metavar="N",
-        help="examples that the default counts for (default 10)",
+        help="weight of the default, in examples (default 10)",
     )
     stereo.add_argument(
         "--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the cue, as YAML"

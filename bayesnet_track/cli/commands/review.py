@@ -72,7 +72,7 @@ def log(options: argparse.Namespace) -> int:
     selected = chosen_events(events, options)
     if not selected:
         _check_node(directory, options.node)
-        complain("no event is left by these filters")
+        complain("no events match")
     name_target, kinds = has_several_targets(events), kinds_of(events)
     lines: Iterable[str]
     if options.json:

@@ -255,7 +255,7 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
         "--allow-other-machine",
         action="store_true",
         help="continue although the machine, its instruction sets or the libraries differ from those "
-        "of the run so far; the result then equals that of no uninterrupted run",
+        "of the run so far; the result then differs from that of an uninterrupted run",
     )
     add_checkpoints(resume)
     add_plugins(resume)
@@ -310,7 +310,7 @@ def add_smooth(commands: argparse._SubParsersAction[Any]) -> None:
     smooth.add_argument(
         "--map",
         action="store_true",
-        help="let the boxes be those of the most probable trajectory, instead of the mean of each frame",
+        help="give the boxes of the most probable trajectory instead of the mean of each frame",
     )
     smooth.add_argument("--overwrite", action="store_true", help="replace an earlier run in --out")
 
@@ -417,7 +417,7 @@ def add_simulate(commands: argparse._SubParsersAction[Any]) -> None:
         "simulate",
         help="draw trajectories from a graph's prior over the first frame",
         description="Draw how a graph expects a target to move before it has seen anything but the first "
-        "box, and print how far: a check of its motion against what you know. No agent is asked.",
+        "box, and print how far: a check of its motion against what you know. No agent is evaluated.",
     )
     simulate.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     simulate.add_argument("--source", required=True, help="video file, folder of images, glob, or URL")

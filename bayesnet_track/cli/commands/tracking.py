@@ -376,7 +376,7 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run = commands.add_parser(
         "run",
         help="track targets in a video with a graph",
-        epilog="`run --what-if RUN ...` is `what-if RUN ...`: an earlier run again with something changed.",
+        epilog="`run --what-if RUN ...` is `what-if RUN ...`, which repeats a run with something changed.",
     )
     run.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     run.add_argument(
@@ -400,9 +400,9 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
         "--init",
         action="append",
         metavar="X,Y,W,H",
-        help="start box in the first frame that is read (frame N with --start N), top-left corner, px; "
-        "CLASS:X,Y,W,H names the class of target, where the graph has several; "
-        "repeat it for further targets; needed unless the graph has `birth`",
+        help="start box in the first frame that is read (frame N with --start N): left, top, width, height, "
+        "px; CLASS:X,Y,W,H gives the target's class if the graph has several; "
+        "repeat it for more targets; needed unless the graph has `birth`",
     )
     start.add_argument(
         "--init-from", metavar="FILE", help="ground-truth file; its box of the first frame is the start box"
@@ -422,14 +422,13 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run.add_argument(
         "--all-hypotheses",
         action="store_true",
-        help="write some hypotheses of each target, and all digits, in every frame, not only in those of at "
-        "most 8 targets",
+        help="also in frames of more than 8 targets, write some hypotheses of each target, and all digits",
     )
     run.add_argument(
         "--tracks-csv",
         action="store_true",
-        help="write tracks.csv, too: a row per target and frame with status, score and UD; `export --format "
-        "csv` makes it of any run",
+        help="also write tracks.csv, a row per target and frame with status, score and UD; `export --format "
+        "csv` makes one from any run",
     )
     add_seeds_options(run)
     run.add_argument(
