@@ -38,7 +38,7 @@ from sequences import HALVES, Sequence, find_sequences
 
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.runtime.annotation.answers import Answer, Box
-from bayesnet_track.runtime.annotation.asking import Asking, TrackedBox, TrackerRuns, annotate, iou
+from bayesnet_track.runtime.annotation.asking import Asking, TrackedBox, TrackerRuns, annotate_video, iou
 from bayesnet_track.runtime.annotation.session import by_target
 
 Floats = NDArray[np.float64]
@@ -339,7 +339,7 @@ def ask_ours(sequence: Sequence, runs: Kept, asking: Asking) -> Done:
     answer = annotator(sequence.truth)
     answers = [answer(0, None)]
     while True:
-        done = annotate(by_target(answers), runs, frames, asking)
+        done = annotate_video(by_target(answers), runs, frames, asking)
         if not done.questions or len(answers) > frames:
             break
         question = done.questions[0]

@@ -40,8 +40,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track import DetectionsTracker
-from bayesnet_track.evaluate.truth import assign
-from bayesnet_track.evaluate.world import Places, WorldScore, score_world
+from bayesnet_track.evaluate.truth import assign_rows
+from bayesnet_track.evaluate.world import GroundPlaces, WorldScore, score_world
 from bayesnet_track.journal.events.cameras import CameraKnocked
 from bayesnet_track.numerics.cameras import Camera, camera_of_projection
 
@@ -106,7 +106,7 @@ def _table(path: Path, width: int) -> Floats:
 class Tracked:
     """Tracked places, (N, 5) innovations: frame, target, x, feet, head in heights of the box; ms a step."""
 
-    places: Places
+    places: GroundPlaces
     innovations: Floats
     step_ms: float
     knocks: tuple[str, ...]
@@ -154,7 +154,7 @@ def track(cameras: Sequence[Sequence4], graph: Path, knock_px: float = 0.0) -> T
             rows.append((*place[:2], sds[0] ** 2, sds[1] ** 2, state["xy_corr"] * sds[0] * sds[1]))
     table = np.array(rows).reshape(-1, 5)
     covariances = table[:, [2, 4, 4, 3]].reshape(-1, 2, 2)
-    places = Places(np.array(times), ids, table[:, :2], covariances)
+    places = GroundPlaces(np.array(times), ids, table[:, :2], covariances)
     return Tracked(places, np.array(innovations).reshape(-1, 5), float(np.median(took)), tuple(knocks))
 
 
@@ -192,9 +192,9 @@ def scores(seen: Sequence4, tracked: Tracked, later: bool | None = None) -> Worl
         truth = truth[(truth[:, 0] > half) == later]
         own = np.flatnonzero((places.times > half / FPS) == later)
         ids = [places.ids[row] for row in own.tolist()]
-        places = Places(places.times[own], ids, places.points[own], places.covariances[own])
+        places = GroundPlaces(places.times[own], ids, places.points[own], places.covariances[own])
     nothing = np.full((len(truth), 2, 2), np.nan)
-    true = Places(truth[:, 0] / FPS, [f"{one:g}" for one in truth[:, 1]], truth[:, 2:4], nothing)
+    true = GroundPlaces(truth[:, 0] / FPS, [f"{one:g}" for one in truth[:, 1]], truth[:, 2:4], nothing)
     return score_world(true, places)
 
 
@@ -208,7 +208,7 @@ def detection_errors(seen: Sequence4) -> Floats:
         away = np.array([[_away(seen.camera, box, one[2:]) for box in corners] for one in true])
         away = away.reshape(len(true), len(corners), 3)
         apart = np.hypot(away[..., 0], away[..., 1])
-        for i, j in zip(*assign(np.maximum(np.nan_to_num(NEAR - apart, nan=0.0), 0.0)), strict=True):
+        for i, j in zip(*assign_rows(np.maximum(np.nan_to_num(NEAR - apart, nan=0.0), 0.0)), strict=True):
             if apart[i, j] < NEAR:
                 rows.append((frame, true[i, 1], *away[i, j]))
     return np.array(rows).reshape(-1, 5)

@@ -27,7 +27,7 @@ from measuring import Image, environment, on_one_thread, table
 from sequences import find_sequences
 
 from bayesnet_track.engine.scoring.outcome import e_value, level_afterwards, next_cusum
-from bayesnet_track.evaluate.calibration import OFF_TARGET, fit, score_of
+from bayesnet_track.evaluate.calibration import OFF_TARGET, fit_calibration, score_of
 from bayesnet_track.evaluate.calibration_data import (
     CalibrationData,
     by_video,
@@ -35,7 +35,7 @@ from bayesnet_track.evaluate.calibration_data import (
     with_features,
 )
 from bayesnet_track.evaluate.guarantees import (
-    Run,
+    CalibrationRun,
     control_afterwards,
     control_risk,
     runs_of,
@@ -71,7 +71,7 @@ def cross_fitted(data: Sequence[CalibrationData], features: Sequence[str]) -> li
     """The same runs, each with the score that is fitted to the other sequences."""
     found = []
     for video, own in by_video(data).items():
-        logistic = fit([one for one in data if one.video != video], features).logistic
+        logistic = fit_calibration([one for one in data if one.video != video], features).logistic
         for one in own:
             if len(one.all_scores) != one.frames:
                 raise SystemExit(f"{video}: --fit needs a true box in every frame")
@@ -82,7 +82,7 @@ def cross_fitted(data: Sequence[CalibrationData], features: Sequence[str]) -> li
 def guarantee_rows(data: Sequence[CalibrationData], share: float, frames: int) -> list[list[str]]:
     """A row for each sequence left out, and the means: while it runs, and judged when it is over."""
     runs = runs_of(data, frames)
-    rows, found, live, after = [], [], list[Run](), list[Run]()
+    rows, found, live, after = [], [], list[CalibrationRun](), list[CalibrationRun]()
     for video, own in runs.items():
         others = [one for name, one in runs.items() if name != video]
         above, levels = control_risk(others, share).above, control_afterwards(others, share)
@@ -97,12 +97,12 @@ def guarantee_rows(data: Sequence[CalibrationData], share: float, frames: int) -
     return [*rows, means, ["frames alike", "", *alike]]
 
 
-def called(run: Run, above: float) -> Run:
+def called(run: CalibrationRun, above: float) -> CalibrationRun:
     """The run with 1 where it is called tracking, and 0 elsewhere."""
-    return Run((run.means > above).astype(float), run.iou)
+    return CalibrationRun((run.means > above).astype(float), run.iou)
 
 
-def frames_alike(runs: Sequence[Run]) -> tuple[float, float]:
+def frames_alike(runs: Sequence[CalibrationRun]) -> tuple[float, float]:
     """Of all frames those wrongly called tracking; of all good ones those called so."""
     said, good = np.concatenate([run.means for run in runs]), np.concatenate([run.iou for run in runs]) > 0.5
     return float((said * ~good).mean()), float(said[good].mean())

@@ -31,7 +31,7 @@ from bayesnet_track import open_run, track
 from bayesnet_track.evaluate.mot import clear_mot, identity
 from bayesnet_track.evaluate.truth import Tracks, pair, read_mot_tracks
 from bayesnet_track.runtime.annotation.identity_desk import write_tracks
-from bayesnet_track.runtime.annotation.identity_queue import IdentityQueue, Question, Tracklets
+from bayesnet_track.runtime.annotation.identity_queue import IdentityQuestion, IdentityQueue, Tracklets
 
 SIZE, FRAMES = (1280, 720), 250
 CHECKED = (0, 5, 10, 20)
@@ -115,7 +115,7 @@ class Annotator:
         ]
         return max(ends, key=lambda k: pieces[k].frames[1], default=None)
 
-    def answer(self, question: Question) -> Mapping[str, Any]:
+    def answer(self, question: IdentityQuestion) -> Mapping[str, Any]:
         """What a person who looks at the video says."""
         tracklets = self.tracklets
         start = tracklets.starts[question.target, question.frame]
@@ -134,7 +134,9 @@ class Annotator:
         return {**about, "answer": "same", "other": tracklets.target(end)}
 
 
-def ask(way: str, queue: IdentityQueue, rng: np.random.Generator, questions: list[Question]) -> Question:
+def ask(
+    way: str, queue: IdentityQueue, rng: np.random.Generator, questions: list[IdentityQuestion]
+) -> IdentityQuestion:
     """The question that comes next."""
     if way == "queue":
         return questions[0]
@@ -142,7 +144,7 @@ def ask(way: str, queue: IdentityQueue, rng: np.random.Generator, questions: lis
         return questions[rng.integers(len(questions))]
     tracklets = queue.tracklets
 
-    def gap(question: Question) -> int:
+    def gap(question: IdentityQuestion) -> int:
         start = tracklets.starts[question.target, question.frame]
         end = queue.posterior.chosen.get(start, tracklets.before(start))
         return 0 if end is None else question.frame - tracklets.pieces[end].frames[1]

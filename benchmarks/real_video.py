@@ -17,7 +17,7 @@ import numpy as np
 from sequences import Sequence
 
 from bayesnet_track import Tracker
-from bayesnet_track.evaluate.scores import score
+from bayesnet_track.evaluate.scores import score_pass
 from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
@@ -34,7 +34,7 @@ class Frames:
     """Overlap, score, status and CPU seconds of each frame but the first."""
 
     iou: list[float]
-    score: list[float]
+    score_pass: list[float]
     status: list[str]
     cpu_s: list[float]
 
@@ -114,7 +114,7 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Pass
         regions[1].append(tracker.metrics.region90)
     frames.iou.extend(overlaps(every, sequence)[1:])
     lost = [False] * len(held)
-    whole = score(held, lost, sequence.truth, region50=regions[0], region90=regions[1])
+    whole = score_pass(held, lost, sequence.truth, region50=regions[0], region90=regions[1])
     count = len(frames.iou)
     return Pass(
         name,
@@ -122,7 +122,7 @@ def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Pass
         sequence.name,
         seed,
         whole.auc,
-        score(every, lost, sequence.truth).auc,
+        score_pass(every, lost, sequence.truth).auc,
         100.0 * switched / count,
         asked / count,
         float(np.mean(whole.coverage50 or 0.0)),
@@ -177,8 +177,8 @@ class Elsewhere:
         status = ["lost" if gone else "tracking" for gone in lost[1:]]
         seconds = [answer["cpu_s"] / max(count, 1)] * count
         frames = Frames(overlaps(boxes, sequence)[1:], answer["scores"][1:], status, seconds)
-        auc = score(boxes, lost, sequence.truth).auc
-        every = score(boxes, [False] * len(boxes), sequence.truth).auc
+        auc = score_pass(boxes, lost, sequence.truth).auc
+        every = score_pass(boxes, [False] * len(boxes), sequence.truth).auc
         return Pass(name, "", sequence.name, 0, auc, every, 0.0, 0.0, 0.0, 0.0, frames)
 
 

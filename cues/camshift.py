@@ -77,7 +77,7 @@ class CamShiftParameters(CueParameters):
 
 
 @dataclass(frozen=True)
-class Found:
+class RestingWindow:
     """Window at rest.
 
     Attributes:
@@ -138,7 +138,7 @@ class CamShift:
             "inside": box_counts / max(float(box_counts.sum()), 1.0),
             "around": ring_counts / max(float(ring_counts.sum()), 1.0),
         }
-        probability = back_projection(reference)
+        probability = _back_projection(reference)
         density = window_moments(cells, probability, x, y, box[2] / 2, box[3] / 2)[0] / (box[2] * box[3])
         moments = window_moments(cells, probability, x, y, *(WINDOW * box[2:] / 2))
         spread = np.sqrt(np.maximum(np.diag(_covariance(moments)), 1.0 / 12.0)) / box[2:]
@@ -170,7 +170,7 @@ class CamShift:
 
     def climb(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
-    ) -> Found | None:
+    ) -> RestingWindow | None:
         """The window at rest; None where the back-projection is empty."""
         from bayesnet_track.vision.kernels.mean_shift_kernels import window_moments
 
@@ -178,7 +178,7 @@ class CamShift:
         predicted = weights @ hypotheses.boxes
         sd = np.sqrt(weights @ (hypotheses.boxes[:, :2] - predicted[:2]) ** 2)
         cells, origin = self._cells(planes, hypotheses.boxes)
-        probability = back_projection(reference)
+        probability = _back_projection(reference)
         centre, sides = predicted[:2] - origin, predicted[2:] + 2.0 * p.reach_sd * sd
         low, high = predicted[2:] / p.change_max, predicted[2:] * p.change_max
         path, spread = [np.concatenate([centre, predicted[2:]])], np.eye(2)
@@ -202,7 +202,7 @@ class CamShift:
         )
         windows = np.array(path)
         windows[:, :2] += origin
-        return Found(
+        return RestingWindow(
             np.concatenate([centre + origin, sides]),
             0.5 * float(np.arctan2(2.0 * spread[0, 1], spread[0, 0] - spread[1, 1])),
             window_sums,
@@ -216,7 +216,7 @@ class CamShift:
         return cells.astype(np.uint16), origin
 
 
-def back_projection(reference: Reference) -> Floats:
+def _back_projection(reference: Reference) -> Floats:
     """(bins + 1,) max(0, q - b) / (q + b + RARE), q inside the box and b around it; 0 without a hue."""
     box_shares, ring_shares = reference["inside"], reference["around"]
     contrast = np.maximum(box_shares - ring_shares, 0.0) / (box_shares + ring_shares + RARE)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from bayesnet_track.numerics.distributions import follow, spread_of, start
+from bayesnet_track.numerics.distributions import follow_spread, spread_of, start_spread
 from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.observation.cue import (
     Cue,
@@ -105,7 +105,7 @@ class ColorBlobs:
             "blobs": blobs[0, : counts[0]],
             "size": np.array(box[2:], dtype=np.float64),
             SHARPER: np.array(1.0),
-            **start(2, self.parameters.sd_memory_frames),
+            **start_spread(2, self.parameters.sd_memory_frames),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
@@ -136,7 +136,7 @@ class ColorBlobs:
             "blobs": blobs[blobs[:, SHARE] > 0],
             "size": blend_sizes(old, new, rate),
             **relax(old, new, rate),
-            **follow(old, errors, (p.sd_offset, p.sd_hue_deg), p.sd_memory_frames),
+            **follow_spread(old, errors, (p.sd_offset, p.sd_hue_deg), p.sd_memory_frames),
         }
 
     def adapt(self, reference: Reference, attempt: int) -> Reference | None:

@@ -197,7 +197,7 @@ class CorrelationFilter:
         With `angles` (N,), in degrees, those of the filter turned by as much.
         """
         from bayesnet_track.numerics.compiled import plain
-        from bayesnet_track.vision.kernels.correlation_kernels import read_answers
+        from bayesnet_track.vision.kernels.correlation_kernels import add_answers
 
         p, image, boxes, values = self.parameters, planes[WholeFrame()], plain(boxes), np.zeros(len(boxes))
         size, place, kernel = reference["size"], reference["place"], reference["kernel"]
@@ -223,7 +223,7 @@ class CorrelationFilter:
                 lowest, highest = math.floor(of_turn.min()), math.ceil(of_turn.max())
                 maps = find_maps(tile, kernel, turn, range(lowest, highest + 1), parts)
                 at_tile = (tile.x, tile.y, tile.cell)
-                read_answers(maps, lowest, boxes, at_tile, indices, levels, part, values)
+                add_answers(maps, lowest, boxes, at_tile, indices, levels, part, values)
         return values
 
     def _cell(self, size: Floats) -> float:

@@ -69,7 +69,7 @@ def missing_model(model: str) -> str | None:
     return None
 
 
-def plain(crops: Bytes) -> Floats:
+def _plain(crops: Bytes) -> Floats:
     """(n, D) the pixels themselves, around each channel's mean."""
     values = crops.astype(np.float64)
     values -= values.mean(axis=(1, 2), keepdims=True)
@@ -85,11 +85,11 @@ def network(model: str, shape: Input) -> Embed:
     """
     if absent := missing_model(model):
         raise EmbeddingError(absent)
-    check_apart(try_network, [model], EmbeddingError, model=model, shape=asdict(shape))
+    check_apart(_try_network, [model], EmbeddingError, model=model, shape=asdict(shape))
     return _network(model, shape)
 
 
-def try_network(model: str, shape: Mapping[str, Any]) -> None:
+def _try_network(model: str, shape: Mapping[str, Any]) -> None:
     """Load and run a network for an input of these attributes once."""
     _network(model, Input(**shape))
 
@@ -299,7 +299,7 @@ def _make(parameters: EmbeddingParameters) -> Cue:
 
     p = parameters
     if not p.model:
-        return Embedding(p, plain)
+        return Embedding(p, _plain)
     shape = Input(p.input_width, p.input_height, p.scale, p.mean, p.channels == "rgb")
     return Embedding(p, network(p.model, shape))
 

@@ -32,7 +32,7 @@ from bayesnet_track.vision.points import (
     clearest_mix,
     corners_in,
     correlations,
-    cut,
+    cut_region,
     find_agreement,
     followed,
     mix_channels,
@@ -121,7 +121,7 @@ class Klt:
         p = self.parameters
         nearby = region_of_boxes(box[None]).within(planes.frame)
         region = nearby if nearby.is_empty else _aligned(nearby.grown(self.how.margin))
-        image, origin = cut(planes[WholeFrame()], region), (region.x0, region.y0)
+        image, origin = cut_region(planes[WholeFrame()], region), (region.x0, region.y0)
         mix = clearest_mix(image, origin, self._inner(box), p.min_gradient_gray)
         corners, patches = self._chosen(image, origin, box, mix)
         return {
@@ -219,7 +219,7 @@ class Klt:
         step = np.rint((box[:2] - reference["box"][:2]) / COARSEST).astype(int) * COARSEST
         guess = (int(step[0]), int(step[1]))
         x, y = (a + b - c for a, b, c in zip(_origin(reference), guess, origin or (0, 0), strict=True))
-        view = cut(image, Region(x, y, x + columns, y + rows))
+        view = cut_region(image, Region(x, y, x + columns, y + rows))
         if view.size == 0:
             return None
         mixed_image = mix_channels(view, mix)

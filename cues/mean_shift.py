@@ -106,7 +106,7 @@ class MeanShift:
         ((1 - share) r)^2 for a box of radii r of which only a share is seen: the rest may be hidden on either
         side.
         """
-        from bayesnet_track.vision.kernels.mean_shift_kernels import bhattacharyya, kernel_histogram
+        from bayesnet_track.vision.kernels.mean_shift_kernels import bhattacharyya_at, kernel_histogram
 
         p, model = self.parameters, for_reading(reference["shares"])
         path = self.climb(planes, hypotheses, weights, reference)
@@ -119,7 +119,7 @@ class MeanShift:
 
         def rho(x_steps: float, y_steps: float) -> float:
             place = peak + step * [x_steps, y_steps]
-            return bhattacharyya(cells, model, place[0], place[1], rx, ry)
+            return bhattacharyya_at(cells, model, place[0], place[1], rx, ry)
 
         histogram = kernel_histogram(cells, peak[0], peak[1], rx, ry, len(model))
         share = float(np.minimum(histogram, model).sum())

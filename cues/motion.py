@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from bayesnet_track.numerics.distributions import follow, spread_of, start
+from bayesnet_track.numerics.distributions import follow_spread, spread_of, start_spread
 from bayesnet_track.numerics.log_weights import SHARPER, factor_of, relax, sharpen
 from bayesnet_track.observation.cue import (
     CueDeclaration,
@@ -147,7 +147,7 @@ class MotionCue:
             "size": np.array(box[2:], dtype=np.float64),
             "known": np.array(float(is_known)),
             SHARPER: np.array(1.0),
-            **start(2, self.parameters.sd_memory_frames),
+            **start_spread(2, self.parameters.sd_memory_frames),
         }
 
     def blend(self, old: Reference, new: Reference, rate: float) -> Reference:
@@ -156,7 +156,7 @@ class MotionCue:
             return old
         p, both_known = self.parameters, rate and old["known"]
         changes = list((new["flow"] - old["flow"])[:, None]) if both_known else [np.empty(0)] * 2
-        spread = follow(old, changes, (p.sd_x_px, p.sd_y_px), p.sd_memory_frames)
+        spread = follow_spread(old, changes, (p.sd_x_px, p.sd_y_px), p.sd_memory_frames)
         blended = blend_arrays(old, new, rate) if old["known"] else new
         return {**blended, **relax(old, new, rate), **spread}
 

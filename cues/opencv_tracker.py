@@ -31,7 +31,7 @@ from bayesnet_track.observation.cue import (
 from bayesnet_track.observation.planes import Plane, Planes, Region, region_of_boxes
 from bayesnet_track.vision.model_files import ModelFile
 from bayesnet_track.vision.planes import WholeFrame
-from bayesnet_track.vision.points import GRAY, correlations, cut, mix_channels
+from bayesnet_track.vision.points import GRAY, correlations, cut_region, mix_channels
 from bayesnet_track.vision.siamese_networks import check_apart, reason_of
 
 FILES: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -115,7 +115,7 @@ def check_models(name: str, models: Mapping[str, str]) -> None:
 
 def try_models(name: str, models: Mapping[str, str]) -> None:
     """Start the tracker on a gray image and look for the target in another."""
-    image, session = np.full((160, 160, 3), 114, np.uint8), Session(name, models)
+    image, session = np.full((160, 160, 3), 114, np.uint8), TrackerSession(name, models)
     session.start(image, np.array([80.0, 80.0, 40.0, 40.0]), 0)
     try:
         session.update(image, 1, np.array([80.0, 80.0]))
@@ -136,7 +136,7 @@ def _seed(number: int) -> None:
         return
 
 
-class Session:
+class TrackerSession:
     """One tracker on one target. It changes with every frame.
 
     The tracker sees a view that moves with the prediction, so that it looks where the belief expects the
@@ -175,7 +175,7 @@ class Session:
         height, width = self._view
         x, y, w, h = self._given
         corner = np.rint(expected - [x + w / 2, y + h / 2]).astype(int)
-        view = cut(image, Region(corner[0], corner[1], corner[0] + width, corner[1] + height))
+        view = cut_region(image, Region(corner[0], corner[1], corner[0] + width, corner[1] + height))
         self.image, self.index, self.box = image, index, None
         if view.size == 0 or self._tracker is None:
             return
@@ -205,7 +205,7 @@ class Session:
         self._off = self._first[:2] - (corner + place + (size - 1) / 2)
         _seed(self.index)
         self._tracker = _made(self._name, self._models)
-        view = cut(self.image, Region(corner[0], corner[1], corner[0] + width, corner[1] + height))
+        view = cut_region(self.image, Region(corner[0], corner[1], corner[0] + width, corner[1] + height))
         self._tracker.init(view, self._given)
 
     def learn(self) -> None:
@@ -222,7 +222,7 @@ class Session:
 def _thumb(image: Image, box: Floats) -> Floats:
     import cv2
 
-    part = cut(image, region_of_boxes(box[None]))
+    part = cut_region(image, region_of_boxes(box[None]))
     if part.size == 0:
         return np.zeros((1, THUMB, THUMB))
     small = cv2.resize(part, (THUMB, THUMB), interpolation=cv2.INTER_AREA)
@@ -276,7 +276,7 @@ class TrackedReference(dict[str, NDArray[Any]]):
         session: the tracker, from the box and picture that it started with.
     """
 
-    def __init__(self, arrays: Mapping[str, NDArray[Any]], session: Session) -> None:
+    def __init__(self, arrays: Mapping[str, NDArray[Any]], session: TrackerSession) -> None:
         super().__init__(arrays)
         self.session = session
 
@@ -352,9 +352,9 @@ class OpencvTracker:
         covariance = np.diag(np.tile(sd**2, 2))
         return Measurement(("x", "y", "w", "h"), session.box, covariance, p.floor, confidence=score)
 
-    def _session(self, arrays: Reference) -> Session:
+    def _session(self, arrays: Reference) -> TrackerSession:
         p = self.parameters
-        session = Session(p.tracker, p.models)
+        session = TrackerSession(p.tracker, p.models)
         session.start(arrays["image"], arrays["box"], int(arrays["index"]))
         return session
 

@@ -144,7 +144,7 @@ def open_network(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)
     """The network of the files for search crops of these sides, or plain pixels; raises SiameseError."""
     import cv2  # noqa: F401  load before the first frame
 
-    from bayesnet_track.vision.siamese_crops import Memory, plain
+    from bayesnet_track.vision.siamese_crops import Memory, plain_correlator
     from bayesnet_track.vision.siamese_networks import SiameseError, load_networks
 
     p = parameters
@@ -154,12 +154,12 @@ def open_network(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)
         if usual := find_nanotrack():
             return Memory(load_networks(*usual, sides, p.runtime))
         raise SiameseError(NEEDED)
-    return Memory(plain())
+    return Memory(plain_correlator())
 
 
 def missing_files(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,)) -> str | None:
     """Fault of the files, in words; None if they can be used, or none are named."""
-    if not files_of(parameters):
+    if not network_files(parameters):
         return None
     from bayesnet_track.vision.siamese_networks import SiameseError
 
@@ -170,7 +170,7 @@ def missing_files(parameters: NetworkParameters, sides: Sequence[int] = (SEARCH,
     return None
 
 
-def files_of(parameters: NetworkParameters) -> tuple[str, ...]:
+def network_files(parameters: NetworkParameters) -> tuple[str, ...]:
     """The paths that are named, or those of NanoTrack that a graph without names insists on."""
     named = tuple(path for path in (parameters.backbone, parameters.head) if path)
     return named or (find_nanotrack() or () if parameters.without_files == "refuse" else ())
@@ -196,5 +196,5 @@ CUE = CueDeclaration(
     cost_ms=6.0,
     rate_max=0.05,
     missing=missing_files,
-    files=files_of,
+    files=network_files,
 )

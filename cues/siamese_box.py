@@ -15,9 +15,9 @@ from pydantic import Field
 
 from bayesnet_track.cues.siamese import (
     NetworkParameters,
-    files_of,
     learn_template,
     missing_files,
+    network_files,
     open_network,
 )
 from bayesnet_track.numerics.arrays import Bytes
@@ -78,7 +78,7 @@ class SiameseBoxParameters(NetworkParameters):
 
 
 @dataclass(frozen=True)
-class Found:
+class ChosenProposal:
     """A proposal that was chosen.
 
     Attributes:
@@ -138,7 +138,7 @@ class SiameseBox:
         covariance = np.diag([sd * sd for sd in sds])
         return Measurement(("x", "y", "w", "h"), box, covariance, p.floor, confidence=sure)
 
-    def _look_near(self, image: Bytes, expected: Floats, template: Bytes) -> Found | None:
+    def _look_near(self, image: Bytes, expected: Floats, template: Bytes) -> ChosenProposal | None:
         """The proposal near a centre box (4,), or a sure one in the usual crop around it."""
         p = self.parameters
         proposal = self._look(image, expected, p.crop_px, template, p.window)
@@ -148,7 +148,7 @@ class SiameseBox:
         # What is far from the prediction counts only if it is sure.
         return doubtful_proposal if _is_sure(doubtful_proposal, p) else proposal
 
-    def _look_widely(self, image: Bytes, expected: Floats, template: Bytes) -> Found | None:
+    def _look_widely(self, image: Bytes, expected: Floats, template: Bytes) -> ChosenProposal | None:
         """A sure proposal where a wide crop around a centre box (4,) shows the target best, if at all.
 
         The wide crop is coarse: it says where to look, and the crop around that place what is there.
@@ -163,7 +163,7 @@ class SiameseBox:
 
     def _look(
         self, image: Bytes, expected: Floats, crop_px: int, template: Bytes, window: float
-    ) -> Found | None:
+    ) -> ChosenProposal | None:
         """The proposal that is chosen in a crop around a centre box (4,)."""
         from bayesnet_track.vision.kernels.correlation_kernels import choose
 
@@ -174,7 +174,7 @@ class SiameseBox:
             return None
         reach = WINDOW_PX / TEMPLATE * context_side(expected[2:])
         index, score = choose(proposals, logs, expected, window, reach, p.size_penalty)
-        return Found(proposals[index], float(np.exp(logs[index])), score)
+        return ChosenProposal(proposals[index], float(np.exp(logs[index])), score)
 
 
 def _reach(boxes: Floats, weights: Floats) -> float:
@@ -184,7 +184,7 @@ def _reach(boxes: Floats, weights: Floats) -> float:
     return float((2.0 * sds + mean[2:]).max())
 
 
-def _is_sure(proposal: Found | None, parameters: SiameseBoxParameters) -> bool:
+def _is_sure(proposal: ChosenProposal | None, parameters: SiameseBoxParameters) -> bool:
     return (0.0 if proposal is None else proposal.probability) >= parameters.sure_probability
 
 
@@ -211,5 +211,5 @@ CUE = CueDeclaration(
     measures=True,
     is_confident=lambda parameters: True,
     missing=_missing,
-    files=files_of,
+    files=network_files,
 )

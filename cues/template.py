@@ -136,8 +136,8 @@ class Template:
             value = float(answers[row, column])
             score = value * float(weight[row, column]) * (1.0 if scale == 1.0 else OTHER_SIZE)
             if best_score < score < np.inf:
-                x = column + between(answers[row], column) + 0.5 * template.shape[1]
-                y = row + between(answers[:, column], row) + 0.5 * template.shape[0]
+                x = column + _between(answers[row], column) + 0.5 * template.shape[1]
+                y = row + _between(answers[:, column], row) + 0.5 * template.shape[0]
                 box = np.array([left + x * scale_x, top + y * scale_y, *(scale * size)])
                 best_score, match = score, (box, value)
         return match
@@ -183,10 +183,10 @@ def preferred(shape: tuple[int, ...], side: float) -> NDArray[np.float32]:
     return np.asarray(NEAR + (1.0 - NEAR) * np.outer(row_weights, column_weights), np.float32)
 
 
-def between(line: NDArray[np.float32], index: int) -> float:
+def _between(line: NDArray[np.float32], index: int) -> float:
     """Offset from cell `index` of the top of the parabola through it and its neighbours, -1..1.
 
-    >>> between(np.array([0.0, 1.0, 0.5], np.float32), 1)
+    >>> _between(np.array([0.0, 1.0, 0.5], np.float32), 1)
     0.16666666666666666
     """
     if not 0 < index < len(line) - 1:

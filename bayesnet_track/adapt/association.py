@@ -216,7 +216,7 @@ FIXED = 6
 
 
 @dataclass(frozen=True)
-class Layout:
+class PartColumns:
     """Columns of the parts of a row.
 
     Attributes:
@@ -228,7 +228,7 @@ class Layout:
     size: int
 
     @classmethod
-    def of(cls, rule: AssociationRule, size: int) -> Layout:
+    def of(cls, rule: AssociationRule, size: int) -> PartColumns:
         """The layout of a rule, for beliefs of D = `size` fields."""
         return cls(rule.direction_frames if rule.direction > 0 else 0, size if rule.re_update else 0)
 
@@ -263,7 +263,7 @@ def first_observed(rule: AssociationRule, boxes: Floats, size: int) -> Floats:
     """(T, H) of targets that start in the centre boxes (T, 4); (T, 0) where nothing is remembered."""
     if not rule.remembers:
         return np.empty((len(boxes), 0))
-    layout = Layout.of(rule, size)
+    layout = PartColumns.of(rule, size)
     rows = np.full((len(boxes), layout.width), np.nan)
     rows[:, LAST], rows[:, GAP], rows[:, COUNT] = boxes, 0.0, 0.0
     return rows
@@ -276,7 +276,7 @@ def remembered(rule: AssociationRule, reference: Reference, mean: Floats) -> Flo
     return np.asarray(first_observed(rule, mean[None, :4], len(mean))[0])
 
 
-def observe(
+def observe_hypotheses(
     rule: AssociationRule,
     observed: Floats,
     previous: tuple[Floats, Floats],
@@ -296,7 +296,7 @@ def observe(
     from bayesnet_track.numerics.kernels.judging_kernels import append_detections, units_of
 
     heading = np.empty((len(observed), 2))
-    layout, updated = Layout.of(rule, previous[0].shape[1]), observed.copy()
+    layout, updated = PartColumns.of(rule, previous[0].shape[1]), observed.copy()
     if layout.size:
         parting = ~is_given & (observed[:, GAP] == 0.0)
         updated[parting, layout.mean] = previous[0][parting]
@@ -308,7 +308,7 @@ def observe(
     return updated
 
 
-def earlier(layout: Layout, observed: Floats) -> Floats:
+def earlier(layout: PartColumns, observed: Floats) -> Floats:
     """(T, 4) the earliest detection within the last L frames, else the last; NaN with the first one only."""
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
@@ -327,7 +327,7 @@ def direction_consistency(rule: AssociationRule, observed: Floats, boxes: Floats
     from bayesnet_track.numerics.compiled import plain
     from bayesnet_track.numerics.kernels.judging_kernels import cosines_of, weigh_angles
 
-    layout = Layout(rule.direction_frames, 0)
+    layout = PartColumns(rule.direction_frames, 0)
     heading, origin = observed[:, layout.heading], earlier(layout, observed)
     angles = np.arccos(cosines_of(plain(heading), origin, plain(boxes)))
     return np.asarray(weigh_angles(angles, rule.direction * scores))

@@ -16,7 +16,7 @@ where it had it in the row before; and beyond which it is not its own."""
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class LinkPosterior:
     """Probabilities of links, and the most probable ones together.
 
     Attributes:
@@ -41,7 +41,7 @@ class Posterior:
         return dict(sorted(shares.items(), key=lambda share: -share[1]))
 
 
-def infer(links: Links, answers: Mapping[int, int | None] | None = None) -> Posterior:
+def infer(links: Links, answers: Mapping[int, int | None] | None = None) -> LinkPosterior:
     """The posterior given answers: start -> the end that it continues, or None; no end in two of them."""
     from bayesnet_track.numerics.association import LARGEST, marginalise
 
@@ -60,7 +60,7 @@ def infer(links: Links, answers: Mapping[int, int | None] | None = None) -> Post
     log_odds = np.append(links.log_odds[free], np.full(len(fixed), np.log(LARGEST)))
     conditioned = Links(ends, starts, log_odds, links.count)
     marginals = marginalise(ends, starts, np.exp(np.minimum(log_odds, 60.0)), (links.count, links.count))
-    return Posterior(conditioned, marginals.pairs, marginals.free, _most_probable(conditioned))
+    return LinkPosterior(conditioned, marginals.pairs, marginals.free, _most_probable(conditioned))
 
 
 def _most_probable(links: Links) -> dict[int, int]:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.adapt.presence import UNSEEN, Chain, Known, Presence
+from bayesnet_track.adapt.presence import UNSEEN, Known, Presence, PresenceChain
 from bayesnet_track.graph.settings.lifecycle import Existence
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.association import marginalise
@@ -32,7 +32,7 @@ MET = 3
 
 def estimate_chain(
     seen: float, seen_again: float, missed_frames: float, false_frames: float, max_detection: float = 0.99
-) -> Chain:
+) -> PresenceChain:
     """The chain by two rates: of detections, and of detections right after one, in the open.
 
     With the mean length of a run of misses m = `missed_frames`, leave l = 1 / m, enter e and detection d,
@@ -45,11 +45,11 @@ def estimate_chain(
     """
     ends = 1.0 / false_frames if false_frames > 1.0 else 1.0
     if missed_frames <= 1.0 or seen_again <= seen:
-        return Chain(min(seen, max_detection), 0.0, 1.0, ends)
+        return PresenceChain(min(seen, max_detection), 0.0, 1.0, ends)
     leave = 1.0 / missed_frames
     root = (1.0 - leave) ** 2 - 4.0 * leave * (seen_again / seen - 1.0)
     enter = ((1.0 - leave) - math.sqrt(max(root, 0.0))) / 2.0
-    return Chain(min(seen_again / (1.0 - enter), max_detection), enter, leave, ends)
+    return PresenceChain(min(seen_again / (1.0 - enter), max_detection), enter, leave, ends)
 
 
 def count_lasting(over: Presence, survival: float, false_frames: float) -> tuple[Floats, Floats]:
@@ -257,7 +257,7 @@ class DetectionModel:
         models = {**self.further, sensor: sensor_model}
         return evolve(self, unconfirmed=updated.unconfirmed, known=shared_known, further=models)
 
-    def chain(self, rule: Existence) -> Chain:
+    def chain(self, rule: Existence) -> PresenceChain:
         """The chain of a target's states, by the rates of detections in the open."""
         rate = rule.detection if rule.detection is not None else min(self.hits / self.chances, 0.99)
         rate_again = self.again_hits / self.again_chances

@@ -307,7 +307,7 @@ def feed(candidates: Sequence[Candidate], free: FreeDetections, rule: Birth) -> 
             first, box=box, looks=(scores[index],), birth=free.births[index], track=((free.time, box),)
         )
         updated.append(free.label_of(candidate, index))
-    return keep_best(updated, rule)
+    return keep_candidates(updated, rule)
 
 
 def _follow(candidates: Sequence[Candidate], expected: Floats, free: FreeDetections) -> tuple[Owners, Owners]:
@@ -338,7 +338,7 @@ def look_again(
     return evolve(candidate, looks=looks, box=box.copy(), step=box[:2] - candidate.box[:2])
 
 
-def keep_best(candidates: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
+def keep_candidates(candidates: Sequence[Candidate], rule: Birth) -> tuple[Candidate, ...]:
     """No more than twice `rule.max_targets` (and 8): those seen most often, then those of the best scores."""
     limit = max(2 * rule.max_targets, 8)
     if len(candidates) <= limit:

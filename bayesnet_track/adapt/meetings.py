@@ -139,7 +139,7 @@ class Meeting:
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class MeetingDetections:
     """The detections of a frame that a meeting looks at.
 
     Attributes:
@@ -242,7 +242,7 @@ def halves_of_d2(offset: Floats, spread: Floats) -> tuple[Floats, Floats]:
     return d2, log
 
 
-def advance(meeting: Meeting, sighting: Sighting, rates: SensorRates) -> Meeting:
+def advance(meeting: Meeting, sighting: MeetingDetections, rates: SensorRates) -> Meeting:
     """The meeting, predicted to this frame, after its detections: every assignment, exactly; then merged."""
     count, columns = len(meeting.members), len(sighting.boxes)
     unseen = meeting.unseen + 1
@@ -265,7 +265,7 @@ def advance(meeting: Meeting, sighting: Sighting, rates: SensorRates) -> Meeting
     return _merged(evolve(corrected, log_weight=log[parents, picked[order]]))
 
 
-def _corrected(meeting: Meeting, sighting: Sighting, parents: Ints, choice: Ints) -> Meeting:
+def _corrected(meeting: Meeting, sighting: MeetingDetections, parents: Ints, choice: Ints) -> Meeting:
     """The hypotheses `parents` (K,) after the detections that `choice` (K, n) gives their members."""
     columns, count = len(sighting.boxes), len(meeting.members)
     is_given = choice < columns

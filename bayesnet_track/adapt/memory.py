@@ -100,7 +100,7 @@ class Layout:
 
 
 @lru_cache(maxsize=64)
-def layout_of(plate: CheckedTarget) -> Layout:
+def _layout_of(plate: CheckedTarget) -> Layout:
     """The columns that the rules of a plate need."""
     frames = dict.fromkeys(STATUS_STREAKS, plate.lost.frames)
     nodes = tuple(node for node in plate.children if plate.inference(node).adapt is not None)
@@ -202,7 +202,7 @@ class RuleMemory:
     @classmethod
     def empty(cls, plate: CheckedTarget, count: int = 1) -> RuleMemory:
         """Of targets that start."""
-        layout = layout_of(plate)
+        layout = _layout_of(plate)
         streaks, agents = (count, len(layout.streaks)), (count, len(layout.agents))
         return cls(
             layout,

@@ -107,7 +107,7 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Chain:
+class PresenceChain:
     """Transitions between the states of a target, a frame interval apart.
 
     Attributes:
@@ -128,7 +128,7 @@ class Chain:
         return self.enter / (self.enter + self.leave) if self.enter else 0.0
 
 
-def pass_time(presence: Presence, chain: Chain, dt: float) -> Presence:
+def pass_time(presence: Presence, chain: PresenceChain, dt: float) -> Presence:
     """The presence as it is expected after `dt` frame intervals in which nobody looked."""
     persistence = max(1.0 - chain.enter - chain.leave, 0.0) ** dt
     lasts = (1.0 - chain.false_ends) ** dt
@@ -165,7 +165,7 @@ class Weights:
 
     @classmethod
     def of(
-        cls, existence: Floats, presence: Presence, chain: Chain, visible: Floats | float = 1.0
+        cls, existence: Floats, presence: Presence, chain: PresenceChain, visible: Floats | float = 1.0
     ) -> Weights:
         """Weights of targets that exist with `existence` (T,) and can be seen with probability `visible`."""
         unseen = np.minimum(UNSEEN, chain.detection) * np.ones(len(existence))

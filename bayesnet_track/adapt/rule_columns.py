@@ -73,7 +73,7 @@ class RuleColumns:
         return self.measures.part_areas.get(node, self.measures.areas)
 
 
-def remember(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory, Bools]:
+def remember_frame(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory, Bools]:
     """The rules' memory with this frame, and (T,) of which targets something may have to be decided."""
     from bayesnet_track.numerics.kernels.judging_kernels import extend_streaks
 

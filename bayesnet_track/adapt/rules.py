@@ -1,7 +1,7 @@
 """The rules that reconfigure nets: pure functions of measures and memory to decisions.
 
-All that is remembered is updated for many targets at once (`rule_columns.remember`). One of them is looked at
-by itself only where a condition has held for as many frames as its rule says.
+All that is remembered is updated for many targets at once (`rule_columns.remember_frame`). One of them is
+looked at by itself only where a condition has held for as many frames as its rule says.
 
 Order within a frame: agents that failed are tried again when their time is over; agents stop themselves;
 then each inference node with `adapt` rules activates, or else deactivates one agent; then the target's
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesnet_track.adapt.memory import InformationRate, RuleMemory, Streak
-from bayesnet_track.adapt.rule_columns import RuleColumns, remember
+from bayesnet_track.adapt.rule_columns import RuleColumns, remember_frame
 from bayesnet_track.adapt.rule_inputs import (
     Reading,
     RuleInputs,
@@ -67,7 +67,7 @@ def give_up_on_missing(
 
 def decide(inputs: RuleColumns, memory: RuleMemory) -> tuple[dict[int, tuple[Decision, ...]], RuleMemory]:
     """Row of a target -> the decisions of a frame, where there are some; what the rules remember of all T."""
-    memory, is_due = remember(inputs, memory)
+    memory, is_due = remember_frame(inputs, memory)
     decided: dict[int, tuple[Decision, ...]] = {}
     for row in np.flatnonzero(is_due).tolist():
         decisions, missed, ended = decide_row(

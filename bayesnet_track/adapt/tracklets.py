@@ -130,7 +130,7 @@ class Links:
     count: int
 
 
-def cut(paths: Sequence[TrackPath]) -> list[Tracklet]:
+def cut_paths(paths: Sequence[TrackPath]) -> list[Tracklet]:
     """The tracklets of all paths, by path and row. A path that is never clear is one tracklet."""
     is_close = _close_rows(paths)
     pieces = []

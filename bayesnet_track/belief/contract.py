@@ -234,7 +234,7 @@ class Step(Generic[P_co]):
         return self.find_map()
 
 
-class Belief(Protocol[P]):
+class BeliefFilter(Protocol[P]):
     """Representation of a belief, and its step. Holds settings only; what it knows is the posterior."""
 
     def start(self, box: Floats, motion: MotionModel, stream: Stream) -> P:

@@ -131,7 +131,7 @@ def whole_number(minimum: int) -> Callable[[str], int]:
     return parse
 
 
-def number(needed: str, bound: float = math.inf, maximum: float = math.inf) -> Callable[[str], float]:
+def _number(needed: str, bound: float = math.inf, maximum: float = math.inf) -> Callable[[str], float]:
     """Parser of finite numbers above 0, less than `bound` and at most `maximum`; `needed` says so."""
 
     def parse(text: str) -> float:
@@ -146,12 +146,12 @@ def number(needed: str, bound: float = math.inf, maximum: float = math.inf) -> C
     return parse
 
 
-metres = number("a length above 0 in metres, at most 1 is needed (25 mm are 0.025)", maximum=1.0)
-pixels = number("a distance above 0 in px is needed", bound=1e9)
-milliseconds = number("milliseconds above 0 are needed", bound=1e7)
-seconds = number("a number of seconds above 0 is needed", bound=1e6)
-gradient = number("a number above 0, at most 100 is needed", maximum=100.0)
-share = number("a number above 0, at most 1 is needed", maximum=1.0)
+metres = _number("a length above 0 in metres, at most 1 is needed (25 mm are 0.025)", maximum=1.0)
+pixels = _number("a distance above 0 in px is needed", bound=1e9)
+milliseconds = _number("milliseconds above 0 are needed", bound=1e7)
+seconds = _number("a number of seconds above 0 is needed", bound=1e6)
+gradient = _number("a number above 0, at most 100 is needed", maximum=100.0)
+share = _number("a number above 0, at most 1 is needed", maximum=1.0)
 
 
 FORMS = ("mot", "boxes", "corners", "polygons")

@@ -85,7 +85,7 @@ GROUPS = ("bayesnet_track.cues", "bayesnet_track.detectors")
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckResult:
     """The result of a check.
 
     Attributes:
@@ -133,7 +133,7 @@ def try_code(code: str, *arguments: str, timeout_s: float = 300.0) -> tuple[str,
     return output, "" if process.returncode == 0 else complaint or f"exit code {process.returncode}"
 
 
-def installed(name: str) -> Distribution | None:
+def _installed(name: str) -> Distribution | None:
     """The installed distribution of that name; a build in a checkout is none."""
     from importlib.metadata import distributions
 
@@ -145,7 +145,7 @@ def installed(name: str) -> Distribution | None:
     return next((distribution for distribution in candidates if "Version" in distribution.metadata), None)
 
 
-def check_system() -> Iterator[Finding]:
+def check_system() -> Iterator[CheckResult]:
     """The interpreter and the operating system."""
     import platform
 
@@ -153,25 +153,25 @@ def check_system() -> Iterator[Finding]:
 
     text = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
     if sys.maxsize < 2**32:
-        yield Finding("python", "broken", f"{text}, 32 bits", "install a 64-bit Python")
+        yield CheckResult("python", "broken", f"{text}, 32 bits", "install a 64-bit Python")
     elif missing := stop.describe_missing():
-        yield Finding("python", "note", f"{text}: {missing}", "please report what else does not work")
+        yield CheckResult("python", "note", f"{text}: {missing}", "please report what else does not work")
     else:
-        yield Finding("python", "ok", text)
+        yield CheckResult("python", "ok", text)
 
 
-def check_package() -> Iterator[Finding]:
+def check_package() -> Iterator[CheckResult]:
     """The code that runs is the code that is installed."""
     import json
     from urllib.parse import urlparse
     from urllib.request import url2pathname
 
     package = Path(__file__).resolve().parents[1]
-    metadata = installed(OURS)
+    metadata = _installed(OURS)
     install = f"python -m pip install -e {package.parent}"
     if metadata is None:
         text = f"runs from {package}, and is not installed: cues, detectors and graphs are not found"
-        yield Finding("package", "broken", text, f"{install}   (or run an installed one elsewhere)")
+        yield CheckResult("package", "broken", text, f"{install}   (or run an installed one elsewhere)")
         return
     origin: dict[str, Any] = json.loads(metadata.read_text("direct_url.json") or "{}")
     home = Path(str(metadata.locate_file("bayesnet_track"))).resolve()
@@ -180,21 +180,21 @@ def check_package() -> Iterator[Finding]:
     if home != package and (home / "__init__.py").exists():
         text = f"runs from {package}, which shadows the installed {metadata.version} in {home}"
         cure = f"start it in another folder, or install this one: {install}"
-        yield Finding("package", "broken", text, cure)
+        yield CheckResult("package", "broken", text, cure)
     else:
-        yield Finding("package", "ok", f"{OURS} {metadata.version} in {package}")
+        yield CheckResult("package", "ok", f"{OURS} {metadata.version} in {package}")
 
 
-def check_versions() -> Iterator[Finding]:
+def check_versions() -> Iterator[CheckResult]:
     """Every package that is needed within its range, those that it needs, and a single wheel of OpenCV."""
     try:
         from packaging.requirements import Requirement
     except ImportError:
-        yield Finding("versions", "broken", "packaging is missing", "python -m pip install packaging")
+        yield CheckResult("versions", "broken", "packaging is missing", "python -m pip install packaging")
         return
     wrong: dict[str, str] = {}
     fine = []
-    for needed in map(Requirement, _requires(installed(OURS))):
+    for needed in map(Requirement, _requires(_installed(OURS))):
         distribution = _of(needed.name)
         if distribution is None:
             wrong[f"{needed.name} is missing"] = str(needed)
@@ -210,17 +210,17 @@ def check_versions() -> Iterator[Finding]:
                     f"{distribution.name} {distribution.version} needs {need}, not {dependency.version}"
                 ] = need
     for text, requirement in wrong.items():
-        yield Finding("versions", "broken", text, f'python -m pip install "{requirement}"')
+        yield CheckResult("versions", "broken", text, f'python -m pip install "{requirement}"')
     if not wrong:
-        yield Finding("versions", "ok" if fine else "note", ", ".join(fine) or "unknown: no metadata")
-    wheels = [distribution for distribution in map(installed, OPENCV_WHEELS) if distribution is not None]
+        yield CheckResult("versions", "ok" if fine else "note", ", ".join(fine) or "unknown: no metadata")
+    wheels = [distribution for distribution in map(_installed, OPENCV_WHEELS) if distribution is not None]
     if len(wheels) > 1:
         names = " ".join(distribution.name for distribution in wheels)
         wheel = "opencv-contrib-python-headless" if "contrib" in names else WHEEL
         text = " and ".join(f"{distribution.name} {distribution.version}" for distribution in wheels)
         text += ": each overwrites files of the other"
         cure = f'python -m pip uninstall -y {names} && python -m pip install "{wheel}>=4.9,<6"'
-        yield Finding("opencv wheels", "broken", text, cure)
+        yield CheckResult("opencv wheels", "broken", text, cure)
 
 
 def _requires(distribution: Distribution | None) -> Iterator[str]:
@@ -239,20 +239,20 @@ def _requires(distribution: Distribution | None) -> Iterator[str]:
 def _of(name: str) -> Distribution | None:
     """The distribution under the name; any wheel of OpenCV stands for the one that is required."""
     names = OPENCV_WHEELS if name == WHEEL else (name,)
-    return next((distribution for distribution in map(installed, names) if distribution is not None), None)
+    return next((distribution for distribution in map(_installed, names) if distribution is not None), None)
 
 
-def check_libraries() -> Iterator[Finding]:
+def check_libraries() -> Iterator[CheckResult]:
     """Each library can be imported."""
     for module, packages in LIBRARIES.items():
         version, error = try_code(f"import {module}; print({module}.__version__)")
         cure = f"python -m pip install --force-reinstall {packages}"
         if "cannot open shared object" in error and module == "cv2":
             cure = "python -m pip uninstall -y opencv-python opencv-contrib-python && " + cure
-        yield Finding(module, "broken", error, cure) if error else Finding(module, "ok", version)
+        yield CheckResult(module, "broken", error, cure) if error else CheckResult(module, "ok", version)
 
 
-def check_plugins() -> Iterator[Finding]:
+def check_plugins() -> Iterator[CheckResult]:
     """Every cue and detector of this package can be loaded; those of other packages are only looked for."""
     from importlib.metadata import entry_points
     from importlib.util import find_spec
@@ -260,52 +260,58 @@ def check_plugins() -> Iterator[Finding]:
     _, error = try_code(_LOAD, *GROUPS)
     points = [point for group in GROUPS for point in entry_points(group=group)]
     if error or not points:
-        yield Finding("plug-ins", "broken", error or "no cues are declared", "mend what is above first")
+        yield CheckResult("plug-ins", "broken", error or "no cues are declared", "mend what is above first")
     else:
-        yield Finding("plug-ins", "ok", f"{len(points)} cues and detectors")
+        yield CheckResult("plug-ins", "ok", f"{len(points)} cues and detectors")
     for point in points:
         module = point.module.partition(".")[0]
         if find_spec(module) is None:  # finds the package without running it
             package = "a package" if point.dist is None else point.dist.name
             text = f"{package} declares {point.name!r}, and {module} is not there"
-            yield Finding("plug-ins", "broken", text, f"reinstall or uninstall {package}")
+            yield CheckResult("plug-ins", "broken", text, f"reinstall or uninstall {package}")
 
 
-def check_tracking() -> Iterator[Finding]:
+def check_tracking() -> Iterator[CheckResult]:
     """Ten frames by the program's own path: written as MP4, read, tracked, recorded, also in a worker."""
     output, error = try_code(_TRACK)
-    yield Finding("ten frames", "broken", error, REPORT) if error else Finding("ten frames", "ok", output)
+    yield (
+        CheckResult("ten frames", "broken", error, REPORT)
+        if error
+        else CheckResult("ten frames", "ok", output)
+    )
 
 
-def check_extras() -> Iterator[Finding]:
+def check_extras() -> Iterator[CheckResult]:
     """Optional packages, and their purpose."""
     for name, (purpose, extra) in EXTRAS.items():
-        distribution = installed(name)
+        distribution = _installed(name)
         if distribution is None:
             cure = f'if wanted: python -m pip install "{OURS}[{extra}]"'
-            yield Finding("extra", "note", f"{name} is not installed: {purpose}", cure)
+            yield CheckResult("extra", "note", f"{name} is not installed: {purpose}", cure)
         else:
-            yield Finding("extra", "ok", f"{name} {distribution.version}: {purpose}")
+            yield CheckResult("extra", "ok", f"{name} {distribution.version}: {purpose}")
 
 
-def check_models() -> Iterator[Finding]:
+def check_models() -> Iterator[CheckResult]:
     """Files of networks in the folders of models, and whether the graph `deep` finds its own."""
     import json
 
     output, error = try_code(_MODELS)
     if error:
-        yield Finding("models", "broken", error, "mend what is above first")
+        yield CheckResult("models", "broken", error, "mend what is above first")
         return
     report = json.loads(output)
     expected, folders = " and ".join(report["usual"]), " or ".join(report["folders"])
     if report["missing"]:
         cure = f"if wanted: put {expected} there, or name their folder in the variable {report['variable']}"
-        yield Finding("models", "note", f"the graph deep finds no {report['missing'][0]} in {folders}", cure)
+        yield CheckResult(
+            "models", "note", f"the graph deep finds no {report['missing'][0]} in {folders}", cure
+        )
     for folder, names in report["files"].items():
-        yield Finding("models", "ok", f"{folder}: {', '.join(names)}")
+        yield CheckResult("models", "ok", f"{folder}: {', '.join(names)}")
 
 
-CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
+CHECKS: tuple[Callable[[], Iterator[CheckResult]], ...] = (
     check_system,
     check_package,
     check_versions,
@@ -317,14 +323,14 @@ CHECKS: tuple[Callable[[], Iterator[Finding]], ...] = (
 )
 
 
-def examine() -> Iterator[Finding]:
+def examine() -> Iterator[CheckResult]:
     """The findings of all checks; a check that fails itself is a finding, too."""
     for check in CHECKS:
         try:
             yield from check()
         except Exception as error:
             name = check.__name__.removeprefix("check_")
-            yield Finding(name, "broken", f"cannot be checked: {type(error).__name__}: {error}", REPORT)
+            yield CheckResult(name, "broken", f"cannot be checked: {type(error).__name__}: {error}", REPORT)
 
 
 def doctor(options: argparse.Namespace) -> int:

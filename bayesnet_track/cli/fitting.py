@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from bayesnet_track.evaluate.cue_parameters import FittedSd
-    from bayesnet_track.evaluate.motion_fit import Estimate, FittedMotion
+    from bayesnet_track.evaluate.motion_fit import FittedMotion, FittedParameter
     from bayesnet_track.evaluate.policies import Chosen, Policy, Trial
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.observation.planes import Frame
@@ -44,7 +44,7 @@ def fit_motion_text(text: str, graph: CheckedGraph, options: argparse.Namespace)
     with users_mistake():
         fitted = fit_motion(plate.inference(plate.root), tracks, options.box_sd)
     from_what = f"{plural(fitted.frames, 'frame')} of {plural(len(tracks), 'track')}"
-    for line in describe(fitted):
+    for line in _describe_motion(fitted):
         complain(line)
     return write_motion(text, ("targets", name, "nodes", plate.root), fitted.estimates, from_what), from_what
 
@@ -79,7 +79,7 @@ def tracks_of(options: argparse.Namespace) -> Tracks:
     return boxes_of_tracks
 
 
-def describe(fitted: FittedMotion) -> list[str]:
+def _describe_motion(fitted: FittedMotion) -> list[str]:
     """A line for each estimate, and what it gains."""
     lines = [_line(parameter) for parameter in fitted.estimates]
     gain = fitted.log_evidence - fitted.log_evidence_before
@@ -90,26 +90,25 @@ def describe(fitted: FittedMotion) -> list[str]:
     return lines
 
 
-def _line(parameter: Estimate) -> str:
-    name = (
-        ".".join(parameter.path)
-        if parameter.before == parameter.before
-        else f"error of the boxes' {parameter.path[-1]}"
-    )
+def _line(parameter: FittedParameter) -> str:
+    name, graph_value = ".".join(parameter.path), parameter.graph_value
+    remark, previous_value = f"; the graph's {graph_value:g} stays", f"; before {graph_value:g}"
+    if graph_value != graph_value:
+        name, remark, previous_value = f"error of the boxes' {parameter.path[-1]}", "", ""
     if not parameter.is_known:
-        remark = f"; the graph's {parameter.before:g} stays" if parameter.before == parameter.before else ""
         return f"{name}: the boxes do not tell; best {parameter.value:.3g}{remark}"
-    previous_value = f"; before {parameter.before:g}" if parameter.before == parameter.before else ""
     interval = f"90 % interval {parameter.low:.3g} to {parameter.high:.3g}"
     return f"{name}: {parameter.value:.3g}, {interval}{previous_value}"
 
 
-def write_motion(text: str, node: tuple[str, ...], estimates: Sequence[Estimate], from_what: str) -> str:
+def write_motion(
+    text: str, node: tuple[str, ...], estimates: Sequence[FittedParameter], from_what: str
+) -> str:
     """The graph's text with the estimates that the boxes tell, each with its interval as a comment."""
     from bayesnet_track.graph.text.change import set_value
 
     for parameter in estimates:
-        if not parameter.is_known or parameter.before != parameter.before:
+        if not parameter.is_known or parameter.graph_value != parameter.graph_value:
             continue
         value = float(f"{parameter.value:.3g}")
         interval = f"{parameter.low:.3g} to {parameter.high:.3g} (90 %)"
@@ -150,14 +149,14 @@ def check_text(text: str, name: str) -> CheckedGraph:
     return check(*read_graph(text, name))
 
 
-def fit_sds(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None) -> str:
+def fit_cue_sds(text: str, graph: CheckedGraph, videos: Sequence[AnnotatedVideo], end: int | None) -> str:
     """The graph's text with the standard deviations of its cues."""
     from bayesnet_track.evaluate.cue_parameters import MEMORY_FRAMES, cue_residuals
     from bayesnet_track.evaluate.cue_parameters import fit_sds as estimate
 
     residuals = []
     for video in videos:
-        with frames_of(video, end) as frames, users_mistake():
+        with frames_before(video, end) as frames, users_mistake():
             residuals.append(cue_residuals(graph, frames, video.truth))
     with users_mistake():
         fitted = estimate(residuals)
@@ -195,7 +194,9 @@ def write_sds(text: str, graph: CheckedGraph, fitted: Mapping[tuple[str, str], F
     return text
 
 
-def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None, seeds: int) -> str:
+def fit_policy(
+    text: str, graph: CheckedGraph, videos: Sequence[AnnotatedVideo], end: int | None, seeds: int
+) -> str:
     """The graph's text with the activation policy that is chosen on `videos`."""
     import numpy as np
 
@@ -212,7 +213,7 @@ def fit_policy(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
         video, trials = videos[number], []
         measuring = with_features(check_text(write_policy(text, graph, policy), "a candidate"))
         for seed in range(seeds):
-            with frames_of(video, end) as frames, users_mistake():
+            with frames_before(video, end) as frames, users_mistake():
                 measured = calibration_data(measuring, video.name, frames, video.truth, seed)
             trials.append((success_auc(measured.iou[measured.seen]), measured.cost_ms))
         auc, cost = np.mean(trials, axis=0)
@@ -257,7 +258,7 @@ def _summary(choice: Chosen) -> str:
     )
 
 
-def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int | None) -> str:
+def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[AnnotatedVideo], end: int | None) -> str:
     """The graph's text with the `correlation` of every learned pool."""
     from bayesnet_track.evaluate.cue_parameters import fit_correlation, learned_pools, pool_errors
     from bayesnet_track.graph.settings.net import pool_exponents
@@ -268,7 +269,7 @@ def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
         pools = learned_pools(plate)
     errors = []
     for video in videos:
-        with frames_of(video, end) as frames, users_mistake():
+        with frames_before(video, end) as frames, users_mistake():
             errors.append(pool_errors(graph, frames, video.truth))
     for pool, children in pools.items():
         with users_mistake():
@@ -286,7 +287,7 @@ def fit_fusion(text: str, graph: CheckedGraph, videos: Sequence[Video], end: int
 
 
 @dataclass(frozen=True, eq=False)
-class Video:
+class AnnotatedVideo:
     """A source and its true corner boxes (n, 4)."""
 
     name: str
@@ -295,7 +296,7 @@ class Video:
     value_range: tuple[float, float] | None = None
 
 
-def find_videos(options: argparse.Namespace) -> Iterator[Video]:
+def find_videos(options: argparse.Namespace) -> Iterator[AnnotatedVideo]:
     """The videos of `--source` with `--truth`, and of `--folder`."""
     from bayesnet_track.evaluate.truth import read_truth
 
@@ -318,11 +319,11 @@ def find_videos(options: argparse.Namespace) -> Iterator[Video]:
         counts[name] = counts.get(name, 0) + 1
         with users_mistake():
             unique = name if counts[name] == 1 else f"{name} {counts[name]}"
-            yield Video(unique, source, read_truth(file, options.truth_format), options.value_range)
+            yield AnnotatedVideo(unique, source, read_truth(file, options.truth_format), options.value_range)
 
 
 @contextmanager
-def frames_of(video: Video, end: int | None) -> Iterator[Iterator[Frame]]:
+def frames_before(video: AnnotatedVideo, end: int | None) -> Iterator[Iterator[Frame]]:
     """The frames of a video before `end`, all that there are when it is None."""
     from bayesnet_track.observation.planes import Frame
     from bayesnet_track.sources.sources import open_source

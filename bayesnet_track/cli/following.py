@@ -143,7 +143,7 @@ def open_view(options: argparse.Namespace) -> Iterator[LiveView | None]:
                 stop.signal = None
 
 
-def begin(
+def begin_view(
     options: argparse.Namespace,
     view: LiveView,
     graph: CheckedGraph,
@@ -250,7 +250,7 @@ def users_start() -> Iterator[None]:
         raise UsageError(str(error)) from error
 
 
-def follow(
+def follow_run(
     options: argparse.Namespace,
     results: Generator[Result, None, None],
     summary: Summary,

@@ -29,7 +29,7 @@ MOST_SETTINGS = 3
 
 
 @dataclass(frozen=True)
-class Identity:
+class TargetIdentity:
     """One target of a run.
 
     Attributes:
@@ -57,7 +57,7 @@ class Identity:
         """Frames from the birth to the last in which it was shown."""
         return self.last_frame - self.born + 1
 
-    def distance_box(self, successor: Identity) -> float:
+    def distance_box(self, successor: TargetIdentity) -> float:
         """Distance of a later identity's start from the end of this one, in box sides; else infinite."""
         gap = successor.born - self.last_frame
         if not 0 < gap <= REACH_FRAMES or successor.first_frame < self.first_frame:
@@ -76,7 +76,7 @@ def _sides(box: Sequence[float]) -> float:
     return math.sqrt(max(box[2] * box[3], 1e-12))
 
 
-def identities_of(events: Sequence[Event], courses: Mapping[str, Course]) -> list[Identity]:
+def identities_of(events: Sequence[Event], courses: Mapping[str, Course]) -> list[TargetIdentity]:
     """The targets of a run that were born of detections and shown in a frame at least; courses with `box`."""
     from bayesnet_track.journal.events.joins import DetectionRefused
     from bayesnet_track.journal.events.lives import CandidateConfirmed, TargetDied, TargetStarted
@@ -107,12 +107,14 @@ def identities_of(events: Sequence[Event], courses: Mapping[str, Course]) -> lis
             last_frame = refusal.missed_frame - 1
         last_frame = max(last_frame, start.frame)
         identities.append(
-            Identity(target, birth.first_frame, start.frame, start.box, last_frame, end, velocity, refusal)
+            TargetIdentity(
+                target, birth.first_frame, start.frame, start.box, last_frame, end, velocity, refusal
+            )
         )
     return identities
 
 
-def successors_of(identities: Sequence[Identity]) -> dict[str, Identity]:
+def successors_of(identities: Sequence[TargetIdentity]) -> dict[str, TargetIdentity]:
     """Target -> the identity that goes on with what it followed, the nearest pairs first; one to one."""
     pairs = sorted(
         (distance, later.born, earlier.target, later.target)
@@ -121,7 +123,7 @@ def successors_of(identities: Sequence[Identity]) -> dict[str, Identity]:
         if later is not earlier and (distance := earlier.distance_box(later)) <= REACH_BOX
     )
     by_target = {identity.target: identity for identity in identities}
-    successors: dict[str, Identity] = {}
+    successors: dict[str, TargetIdentity] = {}
     continued: set[str] = set()
     for _, _, earlier_target, later_target in pairs:
         if earlier_target not in successors and later_target not in continued:
@@ -131,7 +133,7 @@ def successors_of(identities: Sequence[Identity]) -> dict[str, Identity]:
 
 
 def find_identities(
-    identities: Sequence[Identity], graph: Mapping[str, Any], plate: str
+    identities: Sequence[TargetIdentity], graph: Mapping[str, Any], plate: str
 ) -> Iterator[Finding]:
     """One finding where the identities of a plate follow each other; `graph` is its plain data."""
     from bayesnet_track.journal.text.wording import plural
@@ -213,7 +215,10 @@ def _more_motion(graph: Mapping[str, Any], plate: str, factor: float) -> Iterato
 
 
 def _longer(
-    cut: Sequence[Identity], successors: Mapping[str, Identity], graph: Mapping[str, Any], plate: str
+    cut: Sequence[TargetIdentity],
+    successors: Mapping[str, TargetIdentity],
+    graph: Mapping[str, Any],
+    plate: str,
 ) -> Iterator[tuple[str, ...]]:
     """A later end, where identities ended before their successors' first detection."""
     unseen = graph[plate].get("death", {}).get("unseen_frames")

@@ -158,7 +158,7 @@ class Parser(argparse.ArgumentParser):
     def describe_option(self, word: str) -> str:
         """The message that there is no such option."""
         option = word.partition("=")[0]
-        return f"no option {option}{nearest(option, self._option_string_actions)}"
+        return f"no option {option}{suggest_nearest(option, self._option_string_actions)}"
 
 
 class MainParser(Parser):
@@ -201,10 +201,10 @@ def suggest(message: str) -> str:
         return f"no command {choice['word']!r}; did you mean {OTHER_WORDS[choice['word']]}?"
     listed = "" if is_command else f"; there are {', '.join(names)}"
     kind = "command" if is_command else choice["what"]
-    return f"no {kind} {choice['word']!r}{listed}{nearest(choice['word'], names)}"
+    return f"no {kind} {choice['word']!r}{listed}{suggest_nearest(choice['word'], names)}"
 
 
-def nearest(word: str, names: Iterable[str]) -> str:
+def suggest_nearest(word: str, names: Iterable[str]) -> str:
     """`; did you mean run?`, or nothing."""
     matches = get_close_matches(word, [*names], n=1, cutoff=0.55)
     return f"; did you mean {matches[0]}?" if matches else ""

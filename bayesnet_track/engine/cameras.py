@@ -25,7 +25,7 @@ from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.sensing import Found, Sensor
 from bayesnet_track.engine.lifecycle.viewing import PointingShift, ViewSensor
-from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.checked import CLOCK
 from bayesnet_track.journal.events.cameras import CameraKnocked, ClockLearnt
@@ -76,7 +76,7 @@ def plate_clocks(compiled: CompiledPlate, clocks: Clocks | None) -> PlateClocks 
 
 
 def learn_clocks(
-    work: FrameContext, history: TrackHistory, filtered: Together
+    work: FrameContext, history: TrackHistory, filtered: FilteredTargets
 ) -> tuple[Clocks, Mapping[str, Filtered], tuple[ClockLearnt, ...]]:
     """The clocks after the frame, the targets with them, and what is reported."""
     prior = clocks_now(work, history)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from bayesnet_track.belief.contract import LEAST_SIDE_M, LEAST_SIDE_PX, Belief, MotionModel
+from bayesnet_track.belief.contract import LEAST_SIDE_M, LEAST_SIDE_PX, BeliefFilter, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.grid.belief import GridFilter
@@ -40,7 +40,7 @@ from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.graph.checks.cues import plugin_parameters
 from bayesnet_track.graph.checks.plates import names_of_inputs, numbers_of_kinds
-from bayesnet_track.graph.checks.queries import read_inputs
+from bayesnet_track.graph.checks.queries import input_columns
 from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn, Query, WorldState
@@ -98,7 +98,7 @@ class CompiledPlate:
 
     plate: CheckedTarget
     cues: Mapping[str, AnyCue]
-    belief: Belief[Any]
+    belief: BeliefFilter[Any]
     motion: MotionModel
     costs_ms: Mapping[str, float]
     rate_max: Mapping[str, float]
@@ -271,7 +271,7 @@ def compile_graph(
         detectors=by_name,
         joins=graph.spec.joins,
         constants=graph.spec.constants,
-        inputs=read_inputs(graph.spec),
+        inputs=input_columns(graph.spec),
         values={
             frozenset(join.between): numbers_of_kinds(graph.spec, join.between)
             for join in graph.spec.joins
@@ -428,7 +428,7 @@ def _finder(moving: Moving) -> Detector | None:
     return declaration.make(plugin_parameters(plugin, declaration.parameters))
 
 
-def make_belief(declared: spec.Belief | None, modes: Modes | None = None) -> Belief[Any]:
+def make_belief(declared: spec.Belief | None, modes: Modes | None = None) -> BeliefFilter[Any]:
     """The belief that a graph asks for; particles when it does not say."""
     settings = spec.Particles() if declared is None else declared.settings
     match settings:

@@ -13,7 +13,7 @@ import numpy as np
 from bayesnet_track.adapt.rule_inputs import OnCallOutcome
 from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import (
-    Belief,
+    BeliefFilter,
     Evaluate,
     Evidence,
     MotionModel,
@@ -27,7 +27,7 @@ from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.motion.modes import Modes
 from bayesnet_track.engine.frame_context import FrameContext, ask_together
-from bayesnet_track.engine.modes import ModeState, kinds_of, with_kinds
+from bayesnet_track.engine.modes import ModeState, combination_probabilities, with_kinds
 from bayesnet_track.engine.moving.elsewhere import look_elsewhere
 from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
 from bayesnet_track.engine.moving.sudden import search_around
@@ -122,7 +122,7 @@ class Ready:
     target: str
     before: TargetState
     prior: Posterior
-    belief: Belief[Any]
+    belief: BeliefFilter[Any]
     moves: PredictedMotion
     plan: Plan
     stream: Stream
@@ -328,7 +328,7 @@ def _scores_each(cue: object) -> bool:
 
 def _step_again(
     work: FrameContext,
-    belief: Belief[Any],
+    belief: BeliefFilter[Any],
     inputs: tuple[Posterior, float, Evaluate, Stream],
     motion: MotionModel,
 ) -> Step[Posterior]:
@@ -361,7 +361,7 @@ def evaluate_at(work: FrameContext, target: str, previous: TargetState, boxes: F
 
 def _step_by(
     work: FrameContext,
-    belief: Belief[Any],
+    belief: BeliefFilter[Any],
     inputs: tuple[Posterior, float, Stream, MotionModel],
     see: Callable[[Plan], Evaluate],
     plan: Plan,
@@ -374,7 +374,7 @@ def _step_by(
 
 def _step_from(
     work: FrameContext,
-    belief: Belief[Any],
+    belief: BeliefFilter[Any],
     plan: Plan,
     inputs: tuple[MotionModel, float, Stream, Modes | None, Posterior],
     box: Floats,
@@ -383,7 +383,7 @@ def _step_from(
     """The step of the frame by a belief that starts in a centre box (4,)."""
     motion, dt, stream, modes, prior = inputs
     own_stream = partial(_renamed, stream, "elsewhere")
-    start = with_kinds(belief.start(box, motion, own_stream), modes, kinds_of(prior, modes))
+    start = with_kinds(belief.start(box, motion, own_stream), modes, combination_probabilities(prior, modes))
     step = belief.step(start, motion, dt, _evaluation(work, modes, observer, plan), own_stream)
     return evolve(step, ancestors=None)  # they are of a belief that starts here
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.rule_columns import STATUSES
-from bayesnet_track.belief.particles.belief import find_maps
+from bayesnet_track.belief.particles.belief import find_map_states
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages, FilteredEach, FilteredGroup, LiveGroup
@@ -24,8 +24,8 @@ from bayesnet_track.engine.judging import JudgedGroup, judge_group
 from bayesnet_track.engine.learning import LearntGroup, learn_group
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.metrics import (
+    BeliefSummary,
     Measured,
-    Summary,
     find_covariances,
     find_summaries,
     frame_metrics,
@@ -33,7 +33,7 @@ from bayesnet_track.engine.metrics import (
 from bayesnet_track.engine.modes import with_modes
 from bayesnet_track.engine.rows.advancing import FilteredGaussians
 from bayesnet_track.engine.rows.columns import Rows
-from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredRows, FilteredTargets
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import ParticleTable
@@ -47,7 +47,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.net import Decision, apply_decisions
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats
-from bayesnet_track.numerics.records import Found, evolve
+from bayesnet_track.numerics.records import LazyRecords, evolve
 from bayesnet_track.observation.cue import Reference
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, read_only
 
@@ -74,7 +74,7 @@ class FinishedGroup(Generic[Table]):
     judged: JudgedGroup
     learnt: LearntGroup
     singles: Mapping[int, str]
-    summaries: Callable[[bool], Mapping[str, Summary]]
+    summaries: Callable[[bool], Mapping[str, BeliefSummary]]
 
     @property
     def ids(self) -> Sequence[str]:
@@ -181,7 +181,7 @@ class FinishedGroup(Generic[Table]):
         summaries = self.summaries(hypotheses)
         return [self._line(row, summaries[target]) for row, target in enumerate(self.ids)]
 
-    def _line(self, row: int, summary: Summary) -> FrameMetrics:
+    def _line(self, row: int, summary: BeliefSummary) -> FrameMetrics:
         judged, outcome, existence = self.judged, self.judged.score(row), self.filtered.existence
         measured = Measured(
             judged.boxes[row],
@@ -240,12 +240,12 @@ class Results:
     @property
     def covariances(self) -> Mapping[str, Floats]:
         """Target -> (D, D) covariance of its belief."""
-        return Found(self.order, self.find_covariances)
+        return LazyRecords(self.order, self.find_covariances)
 
     @property
     def heard(self) -> Mapping[str, AgentMessages]:
         """Target -> what its agents said."""
-        return Found(self.order, self._find_heard)
+        return LazyRecords(self.order, self._find_heard)
 
     def _find_heard(self) -> dict[str, AgentMessages]:
         groups: Iterable[FinishedGroup[Any]] = (*self.gaussians, *self.groups)
@@ -253,7 +253,7 @@ class Results:
 
 
 def finish_targets(
-    work: FrameContext, filtered: Together, gaussians: Sequence[FilteredGaussians] = ()
+    work: FrameContext, filtered: FilteredTargets, gaussians: Sequence[FilteredGaussians] = ()
 ) -> Results:
     """Measure the beliefs, decide what changes, let the agents learn, and describe them.
 
@@ -293,7 +293,7 @@ def finish_targets(
     return evolve(results, groups=finished)
 
 
-def _covariances(gaussians: Sequence[FilteredGaussians], filtered: Together) -> dict[str, Floats]:
+def _covariances(gaussians: Sequence[FilteredGaussians], filtered: FilteredTargets) -> dict[str, Floats]:
     """Target -> (D, D) covariance of its belief."""
     rows = (zip(group.ids, group.columns.covariance, strict=True) for group in gaussians)
     return {**dict(chain(*rows)), **find_covariances(filtered)}
@@ -335,7 +335,7 @@ def _report_flaws(judged: JudgedGroup, row: int, frame: int) -> list[Event]:
 # ------------------------------------------------------------------------------------ groups
 
 
-def _groups_of(work: FrameContext, filtered: Together) -> list[LiveGroup]:
+def _groups_of(work: FrameContext, filtered: FilteredTargets) -> list[LiveGroup]:
     """All targets of a frame; those that were filtered as arrays first, with their MAP states found."""
     groups: list[LiveGroup] = []
     objects = [*filtered.others.values()]
@@ -347,7 +347,7 @@ def _groups_of(work: FrameContext, filtered: Together) -> list[LiveGroup]:
             group = group.take(fits)
         if fits:
             groups.append(LiveGroup(group, [work.net.targets[target] for target in group.ids]))
-    find_maps(target.step for target in objects)
+    find_map_states(target.step for target in objects)
     by_key: dict[Hashable, list[Filtered]] = {}
     nets: dict[str, TargetNet] = {}
     for target_step in objects:

@@ -28,7 +28,7 @@ from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, r
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.occlusion import is_degenerate, levels_after, levels_of, report_hidden
-from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.rows.on_others import logs_on
 from bayesnet_track.engine.stacked import relate_gaussians
 from bayesnet_track.graph.expressions.distributions import LinearNormal, linear_normals_of
@@ -57,7 +57,7 @@ class JointBelief:
         events: what is written down.
     """
 
-    filtered: Together
+    filtered: FilteredTargets
     memory: JoinMemory
     events: tuple[Event, ...] = ()
 
@@ -83,7 +83,7 @@ class _Tree:
     gaussian: Sequence[Pair] = ()
 
 
-def join_targets(work: FrameContext, memory: JoinMemory, filtered: Together) -> JointBelief:
+def join_targets(work: FrameContext, memory: JoinMemory, filtered: FilteredTargets) -> JointBelief:
     """The joint belief of all joined targets, and what follows from it for each."""
     if not work.engine.joins:
         return JointBelief(filtered, memory)
@@ -108,7 +108,7 @@ def join_targets(work: FrameContext, memory: JoinMemory, filtered: Together) -> 
     }
     messages = {name: marginal.log_likelihood for name, marginal in marginals.items()}
     groups = [group.reweighted(messages, metrics) for group in filtered.groups]
-    return JointBelief(Together(groups, targets, filtered.order), joined, tuple(events))
+    return JointBelief(FilteredTargets(groups, targets, filtered.order), joined, tuple(events))
 
 
 def reaches_of(names: Sequence[str], boxes: Floats, variances: Floats) -> Reaches:
@@ -124,7 +124,7 @@ def _joined(target: Filtered, step: Step[Posterior], metrics: JoinMetrics) -> Fi
     return evolve(target, step=step, join=metrics, modes=modes)
 
 
-def _tree(work: FrameContext, memory: JoinMemory, filtered: Together) -> _Tree:
+def _tree(work: FrameContext, memory: JoinMemory, filtered: FilteredTargets) -> _Tree:
     """The pairs of this frame, and along which of them evidence is shared."""
     rules = {pair: work.engine.joins[join.rule] for pair, join in work.net.joins.items()}
     pairs: dict[Pair, PairMemory] = {}
@@ -180,7 +180,7 @@ def _constants(work: FrameContext, pair: Pair) -> Mapping[str, float]:
 
 
 def _marginals(
-    work: FrameContext, tree: _Tree, levels: Mapping[str, Level], filtered: Together
+    work: FrameContext, tree: _Tree, levels: Mapping[str, Level], filtered: FilteredTargets
 ) -> tuple[dict[str, Marginal], dict[Pair, float]]:
     """The joint belief's marginals, and of each edge the probability that its first target is in front."""
     relates = any(edge.factor is not None for edge in (*tree.edges, *tree.closing))
@@ -201,7 +201,11 @@ def _marginals(
 
 
 def _member(
-    filtered: Together, name: str, level: Level, on_others: Mapping[str, float], states: Mapping[str, Floats]
+    filtered: FilteredTargets,
+    name: str,
+    level: Level,
+    on_others: Mapping[str, float],
+    states: Mapping[str, Floats],
 ) -> Member:
     """A target's hypotheses."""
     place = filtered.row(name)
@@ -237,7 +241,7 @@ def _split_joint(
     carriers: Carriers,
     marginals: Mapping[str, Marginal],
     pairs: Mapping[Pair, PairMemory],
-    filtered: Together,
+    filtered: FilteredTargets,
 ) -> tuple[Steps, dict[str, JoinMetrics], dict[str, CarriedHypotheses]]:
     """Each target's own step of the joint belief, what is written down, and which hypotheses are carried."""
     steps = {name: _reweight(target, marginals.get(name)) for name, target in filtered.others.items()}

@@ -78,7 +78,7 @@ def judge_group(work: FrameContext, group: LiveGroup) -> JudgedGroup:
     plate = filtered.compiled.plate
     root = plate.inference(plate.root)
     states = filtered.estimates(root.estimate)
-    boxes = boxes_of(filtered.compiled, states, work.frame)
+    boxes = _boxes_of(filtered.compiled, states, work.frame)
     sides = boxes if filtered.compiled.views is None else states
     measures = filtered.measures(sides[:, 2] * sides[:, 3])
     scores: list[ScoreOutcome] = []
@@ -95,7 +95,7 @@ def judge_group(work: FrameContext, group: LiveGroup) -> JudgedGroup:
     )
 
 
-def boxes_of(compiled: CompiledPlate, states: Floats, frame: Frame) -> Floats:
+def _boxes_of(compiled: CompiledPlate, states: Floats, frame: Frame) -> Floats:
     """(T, 4) centre boxes of states (T, D), inside the frame; of points as they are."""
     boxes = compiled.boxes(states, frame)
     if compiled.plate.spec.state == "point":

@@ -23,7 +23,7 @@ from bayesnet_track.engine.state import inside_frame
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.asking import Fault, Missing, fault_of, follow, is_elsewhere
 from bayesnet_track.inference.learn import (
-    DriftCheck,
+    GuardVerdict,
     LearningInputs,
     SlowReferences,
     adapt_reference,
@@ -63,7 +63,7 @@ class Beside:
 
     references: Mapping[str, Reference]
     watched: SlowReferences
-    judged: DriftCheck
+    judged: GuardVerdict
     decisions: tuple[Decision, ...]
 
 
@@ -98,7 +98,7 @@ def learn_group(work: FrameContext, group: JudgedGroup) -> LearntGroup:
     news = () if filtered.keeps_status else _meeting(work, group)
     if not is_learning and not news and (filtered.keeps_status or not group.chosen):
         return LearntGroup(filtered.references, shares, angles=angles)
-    lesson, checks, free = partial(_lesson, work, group), dict[int, DriftCheck](), rates
+    lesson, checks, free = partial(_lesson, work, group), dict[int, GuardVerdict](), rates
     if is_learning and compiled.guard is not None:
         free = {agent: [*values] for agent, values in rates.items()}
         for row in range(len(shares)):
@@ -344,7 +344,7 @@ def _learn_beside(
     group: JudgedGroup,
     row: int,
     lesson: LearningInputs,
-    judged: DriftCheck,
+    judged: GuardVerdict,
     learnt: tuple[Mapping[str, Reference], Mapping[str, float], Mapping[str, str]],
 ) -> Beside:
     """Guard the references of one target, carry out local actions, and let agents start late.

@@ -46,7 +46,7 @@ class LineGroup(Protocol):
         """The columns of `journal.frame_columns` without hypotheses; None where lines have to be made."""
 
 
-class Places(NamedTuple):
+class FrameBoxes(NamedTuple):
     """Boxes and statuses of the targets of a frame.
 
     Attributes:
@@ -122,25 +122,25 @@ class Lines(Sequence[FrameMetrics]):
         return (*self._order, *(line.target for line in self.born)) if self.born else self._order
 
     @cached_property
-    def places(self) -> Places:
+    def places(self) -> FrameBoxes:
         """Boxes and statuses of the targets; makes no lines."""
         groups = self._groups
         born = self.born if self._made is None else self._made
         parts = (
             []
             if self._made is not None
-            else [Places(group.ids, group.boxes, group.is_lost) for group in groups]
+            else [FrameBoxes(group.ids, group.boxes, group.is_lost) for group in groups]
         )
         if born:
             boxes = np.array([line.centre_box for line in born])
             lost = np.array([line.is_gone for line in born])
-            parts.append(Places([line.target for line in born], boxes, lost))
+            parts.append(FrameBoxes([line.target for line in born], boxes, lost))
         if len(parts) == 1:
             (places,) = parts
         elif not parts:
-            places = Places((), np.empty((0, 4)), np.empty(0, dtype=np.bool_))
+            places = FrameBoxes((), np.empty((0, 4)), np.empty(0, dtype=np.bool_))
         else:
-            places = Places(
+            places = FrameBoxes(
                 [target for part in parts for target in part.ids],
                 np.concatenate([part.boxes for part in parts]),
                 np.concatenate([part.is_lost for part in parts]),
@@ -149,7 +149,7 @@ class Lines(Sequence[FrameMetrics]):
             return places
         index = dict(zip(places.ids, range(len(places.ids)), strict=True))
         rows = [index[target] for target in self.ids]
-        return Places(self.ids, places.boxes[rows], places.is_lost[rows])
+        return FrameBoxes(self.ids, places.boxes[rows], places.is_lost[rows])
 
     def boxes_of(self, targets: Sequence[str]) -> Floats:
         """(K, 4) centre boxes of some targets, px."""

@@ -19,7 +19,7 @@ from bayesnet_track.belief.particles.particle_set import Clouds, ParticleSet
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.scoring.outcome import e_value, reported_status
 from bayesnet_track.engine.scoring.score import ScoreState, blur_regions
 from bayesnet_track.graph.checked import PAST, CheckedTarget
@@ -30,7 +30,7 @@ from bayesnet_track.journal.encoder import encode_clouds
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import effective, kl
-from bayesnet_track.numerics.records import Found, evolve
+from bayesnet_track.numerics.records import LazyRecords, evolve
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def frame_metrics(
     measured: Measured,
     baseline_px2: float | None,
     learnt: tuple[float, float],
-    summary: Summary,
+    summary: BeliefSummary,
 ) -> FrameMetrics:
     """Line of metrics of a target: its belief in a few numbers, the status that it ran with.
 
@@ -155,7 +155,7 @@ def _score_metrics(measured: Measured, plate: CheckedTarget) -> tuple[float, dic
 
 
 def _widths(
-    summary: Summary, root: InferenceNode, score: float, area_px2: float
+    summary: BeliefSummary, root: InferenceNode, score: float, area_px2: float
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
     """(4,) sds of the belief, px, and its regions of 50 and 90 %, widened by the localization error."""
     variances = np.maximum(summary.variances[:4], 0.0)
@@ -189,7 +189,7 @@ SHARES = (0.5, 0.9)
 
 
 @dataclass(frozen=True, eq=False)
-class Summary:
+class BeliefSummary:
     """A belief in a few numbers.
 
     Attributes:
@@ -223,14 +223,14 @@ class Summary:
 
 def find_summaries(
     work: FrameContext, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
-) -> Found[Summary]:
+) -> LazyRecords[BeliefSummary]:
     """Target -> its belief in a few numbers, of which `spreads` are the covariances."""
-    return Found(filtered, partial(_summarise, work, filtered, spreads))
+    return LazyRecords(filtered, partial(_summarise, work, filtered, spreads))
 
 
 def _summarise(
     work: FrameContext, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
-) -> dict[str, Summary]:
+) -> dict[str, BeliefSummary]:
     stackable, single = _alike(filtered)
     summaries = {target: summarise_one(work, filtered[target], spreads[target]) for target in single}
     for targets in stackable:
@@ -241,7 +241,7 @@ def _summarise(
 
 def find_covariances(filtered: Mapping[str, Filtered]) -> dict[str, Floats]:
     """Target -> (D, D) covariance of its belief."""
-    groups = filtered.groups if isinstance(filtered, Together) else ()
+    groups = filtered.groups if isinstance(filtered, FilteredTargets) else ()
     covariances = dict(
         pair for group in groups for pair in zip(group.ids, group.clouds.covariances, strict=True)
     )
@@ -276,7 +276,7 @@ def _alike(filtered: Mapping[str, Filtered]) -> tuple[list[list[str]], list[str]
     return list(stackable.values()), single
 
 
-def summarise_one(work: FrameContext, filtered: Filtered, covariance: Floats) -> Summary:
+def summarise_one(work: FrameContext, filtered: Filtered, covariance: Floats) -> BeliefSummary:
     """The belief of a target after its step in a few numbers, of which the covariance (D, D) is known."""
     compiled, step = work.plate_of(filtered.target), filtered.step
     root = compiled.plate.root
@@ -289,7 +289,9 @@ def summarise_one(work: FrameContext, filtered: Filtered, covariance: Floats) ->
     return _summary(work, filtered, (covariance.diagonal(), weights.ess, surprise, regions, _rounded(cloud)))
 
 
-def _summarise_in_image(work: FrameContext, filtered: Filtered, views: Views, covariance: Floats) -> Summary:
+def _summarise_in_image(
+    work: FrameContext, filtered: Filtered, views: Views, covariance: Floats
+) -> BeliefSummary:
     """The same of a belief on the ground, as the box in the image that it is seen as."""
     frame, step = work.frame, filtered.step
     root_node = work.plate_of(filtered.target).plate.root
@@ -310,11 +312,11 @@ def _summarise_in_image(work: FrameContext, filtered: Filtered, views: Views, co
 Numbers = tuple[Floats, float, float, Rows, tuple[tuple[int, ...], ...]]
 
 
-def _summary(work: FrameContext, filtered: Filtered, numbers: Numbers) -> Summary:
+def _summary(work: FrameContext, filtered: Filtered, numbers: Numbers) -> BeliefSummary:
     """A summary, of which `numbers` come first."""
     step, compiled = filtered.step, work.plate_of(filtered.target)
     hidden = () if compiled.modes is None else compiled.modes.hidden
-    return Summary(
+    return BeliefSummary(
         *numbers,
         step.map_state[:4],
         step.log_density,
@@ -328,7 +330,7 @@ def _summary(work: FrameContext, filtered: Filtered, numbers: Numbers) -> Summar
 
 def _summarise_rows(
     work: FrameContext, targets_filtered: Sequence[Filtered], spreads: Floats
-) -> dict[str, Summary]:
+) -> dict[str, BeliefSummary]:
     from bayesnet_track.numerics.resampling import look_up_even_of_each
 
     steps, targets = (

@@ -121,7 +121,7 @@ def with_modes(metrics: FrameMetrics, state: ModeState | None, calibrated: bool 
     )
 
 
-def kinds_of(belief: Posterior, modes: Modes | None) -> Floats | None:
+def combination_probabilities(belief: Posterior, modes: Modes | None) -> Floats | None:
     """Probabilities of the combinations of what a target may be; None where it is nothing in particular."""
     if modes is None or not modes.constants:
         return None
@@ -130,7 +130,7 @@ def kinds_of(belief: Posterior, modes: Modes | None) -> Floats | None:
 
 def with_kinds(belief: Posterior, modes: Modes | None, kinds: Floats | None) -> Posterior:
     """A belief that starts again, about a target that is what it was with the probabilities `kinds`."""
-    prior_kinds = kinds_of(belief, modes)
+    prior_kinds = combination_probabilities(belief, modes)
     if modes is None or prior_kinds is None or kinds is None:
         return belief
     with np.errstate(divide="ignore", invalid="ignore"):

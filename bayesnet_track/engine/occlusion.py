@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from bayesnet_track.adapt.joins import LEVEL_HIDDEN, JoinMemory, Level
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.inference.factors import log_seen
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import OcclusionChanged
@@ -22,7 +22,7 @@ DEEPEST = 20.0
 
 
 def levels_of(
-    remembered: Mapping[str, Level], filtered: Together
+    remembered: Mapping[str, Level], filtered: FilteredTargets
 ) -> tuple[dict[str, Level], dict[str, Level]]:
     """Target -> its level with the agents that are active: as measured, else that of this very frame.
 
@@ -58,7 +58,7 @@ def levels_after(
     previous: Mapping[str, Level],
     measured: Mapping[str, Level],
     metrics: Mapping[str, JoinMetrics],
-    filtered: Together,
+    filtered: FilteredTargets,
 ) -> dict[str, Level]:
     """The levels of all targets, those measured in this frame, in `measured`, that were seen."""
     levels = dict(previous)
@@ -69,7 +69,7 @@ def levels_after(
     return levels
 
 
-def is_degenerate(filtered: Together, name: str) -> bool:
+def is_degenerate(filtered: FilteredTargets, name: str) -> bool:
     """True if a target's own evidence could not be used; never of one in a group."""
     return filtered.row(name) is None and filtered[name].step.degenerate is not None
 

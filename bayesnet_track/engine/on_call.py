@@ -17,7 +17,7 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.measure import columns_of
+from bayesnet_track.inference.measure import state_columns
 from bayesnet_track.inference.observe import Observer, Question, ask_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import overlap_of_two
@@ -98,7 +98,7 @@ def _read(
     """UD of a step by the agents of a plan, without those on call; its estimate is `state` (D,)."""
     rule = on_call_rule(plate)
     assert rule is not None
-    ud_px2 = step.posterior.uncertainty(step.map_state, columns_of(plate, plate.root))
+    ud_px2 = step.posterior.uncertainty(step.map_state, state_columns(plate, plate.root))
     # Of more agents the baseline is lower: they would always be called.
     quiet = (
         baseline_level(plate, plan.active, memory, plate.root) if rule.above.kind == "ud_baseline" else None

@@ -125,14 +125,14 @@ def with_joins(work: FrameContext, outcome: Outcome) -> Outcome:
     if not joins:
         return outcome
     state, start = outcome.state, work.engine.clock()
-    reaches = reaches_of(*moments_of(state.targets, outcome.covariances))
+    reaches = reaches_of(*_moments_of(state.targets, outcome.covariances))
     decisions, memory = decide_joins(work.frame.index, joins, state.net, reaches, state.joins)
     work.charge("joins", start)
     joined = evolve(state, net=apply_decisions(state.net, decisions), joins=memory)
     return evolve(outcome, state=joined, events=(*outcome.events, *decisions), seconds=work.seconds)
 
 
-def moments_of(
+def _moments_of(
     targets: Mapping[str, TargetState], covariances: Mapping[str, Floats]
 ) -> tuple[list[str], Floats, Floats]:
     """The targets, and of their beliefs the means (T, 4) and variances (T, 4) of the boxes.

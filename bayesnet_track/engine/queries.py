@@ -14,24 +14,24 @@ from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.outcome import Outcome, State
-from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.expressions.terms import FRAME_S
 from bayesnet_track.inference.crossings import (
     Sample,
     Trail,
-    advance,
+    advance_trail,
     convolved,
     sample_gaussian,
     sample_weighted,
 )
 from bayesnet_track.inference.queries import (
     CompiledQuery,
+    PairGroup,
     QueryMemory,
     count_of,
-    numbers,
-    pair_up,
     probabilities,
+    query_numbers,
     sum_of_events,
 )
 from bayesnet_track.journal.events.beliefs import QueryPassed
@@ -69,7 +69,7 @@ def _by_number(target: str) -> tuple[int, str]:
     return len(target), target
 
 
-def answer_queries(work: FrameContext, outcome: Outcome, filtered: Together | None = None) -> Outcome:
+def answer_queries(work: FrameContext, outcome: Outcome, filtered: FilteredTargets | None = None) -> Outcome:
     """The outcome with the answers of its frame, and the events of those that passed their level.
 
     `filtered` is the first half of the frame, from which hypotheses have their ancestors.
@@ -164,13 +164,13 @@ def asked_targets(engine: Engine, state: State, kinds: set[str]) -> AskedTargets
 def answer(compiled: CompiledQuery, targets: AskedTargets, frame: Mapping[str, float]) -> Answers:
     """The answers to one query."""
     query = compiled.query
-    find = numbers if query.kind == "value" else probabilities
+    find = query_numbers if query.kind == "value" else probabilities
     subjects: list[Subject] = []
     columns: list[Floats] = []
     if query.is_pair:
         for (first, first_belief), (second, second_belief) in _pairs(targets, query.kinds):
             subjects.append((first, second))
-            columns.append(_rows(find(compiled, pair_up(first_belief, second_belief), frame)))
+            columns.append(_rows(find(compiled, PairGroup.from_groups(first_belief, second_belief), frame)))
     else:
         for group in targets.groups[query.kinds[0]]:
             subjects += ((target,) for target in group.ids)
@@ -202,7 +202,7 @@ def answer_crossings(
 
 
 def follow_crossings(
-    work: FrameContext, outcome: Outcome, targets: AskedTargets, filtered: Together | None
+    work: FrameContext, outcome: Outcome, targets: AskedTargets, filtered: FilteredTargets | None
 ) -> tuple[Trails, Mapping[str, Floats]]:
     """Trails of all lines with one frame more, and what is left of targets that are gone.
 
@@ -223,7 +223,7 @@ def follow_crossings(
             key = compiled.name, target
             trail = memory.trails.get(key)
             sample = _sample(work, outcome, compiled, (group, trail), filtered)
-            trails[key] = advance(line, trail, sample, targets.existence.get(target, 1.0))
+            trails[key] = advance_trail(line, trail, sample, targets.existence.get(target, 1.0))
         for (name, target), trail in memory.trails.items():
             if name != compiled.name or (name, target) in trails or target in doubles:
                 continue
@@ -239,7 +239,7 @@ def _sample(
     outcome: Outcome,
     compiled: CompiledQuery,
     single: tuple[BeliefGroup, Trail | None],
-    filtered: Together | None,
+    filtered: FilteredTargets | None,
 ) -> Sample:
     line, (group, trail) = compiled.query.crosses, single
     assert line is not None

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bayesnet_track.adapt.shedding import Load, Running, balance
-from bayesnet_track.belief.contract import Belief
+from bayesnet_track.belief.contract import BeliefFilter
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.state import TargetState
@@ -31,7 +31,7 @@ def balance_load(
     return balance(frame, timing, running, load)
 
 
-def within(belief: Belief[Any], limit: int | None) -> Belief[Any]:
+def within(belief: BeliefFilter[Any], limit: int | None) -> BeliefFilter[Any]:
     """The belief with at most so many hypotheses."""
     if limit is None or not isinstance(belief, ParticleFilter):
         return belief

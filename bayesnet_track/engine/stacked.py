@@ -19,7 +19,7 @@ from bayesnet_track.belief.gaussian.belief import (
 from bayesnet_track.belief.gaussian.rows import update_by_normals
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.expressions.distributions import LinearNormal
 from bayesnet_track.numerics.arrays import Floats
@@ -54,7 +54,7 @@ LinearFactors = Mapping[tuple[str, str], Sequence[LinearNormal]]
 
 
 def relate_gaussians(
-    work: FrameContext, factors: LinearFactors, crosses: Crosses, filtered: Together
+    work: FrameContext, factors: LinearFactors, crosses: Crosses, filtered: FilteredTargets
 ) -> tuple[dict[str, Step[Posterior]], dict[tuple[str, str], Floats]]:
     """Steps of Gaussian targets that `factors` relate, and the covariances of each two of them."""
     names = [name for name in filtered if any(name in pair for pair in factors)]

@@ -19,7 +19,7 @@ from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.metrics import state_numbers
-from bayesnet_track.engine.modes import ModeState, kinds_of, with_kinds, with_modes
+from bayesnet_track.engine.modes import ModeState, combination_probabilities, with_kinds, with_modes
 from bayesnet_track.engine.moving.predicting import start_motion_context
 from bayesnet_track.engine.scoring.rivals import first_references, without_motion
 from bayesnet_track.engine.scoring.score import ScoreState
@@ -205,7 +205,7 @@ def restart(work: FrameContext, target: str, template: str, box: Floats, state: 
         belief=with_kinds(
             _start_belief(work, compiled, work.births[target], box),
             compiled.modes,
-            kinds_of(state.belief, compiled.modes),
+            combination_probabilities(state.belief, compiled.modes),
         ),
         references={**state.references, **learnt},
         memory=state.memory.without(("activate", "deactivate", "lost", "found", "seen", "unsure")),

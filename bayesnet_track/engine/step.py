@@ -32,7 +32,7 @@ from bayesnet_track.engine.outcome import (
 )
 from bayesnet_track.engine.queries import answer_queries
 from bayesnet_track.engine.rows.advancing import FilteredGaussians, filter_gaussians
-from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.rows.finding import arrange
 from bayesnet_track.engine.rows.fitting import row_rule
 from bayesnet_track.engine.rows.particle_rows import filter_rows
@@ -172,7 +172,7 @@ def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Ite
     cache = PlaneCache(FramePair(engine.with_inputs(frame), previous))
     births = state.history.births
     work = FrameContext(engine, state.net, cache, births, inputs.availability, inputs.by_hand)
-    nothing = JointBelief(Together([], {}, []), state.joins)
+    nothing = JointBelief(FilteredTargets([], {}, []), state.joins)
     return Batch(work, state, inputs, Targets.of(state.targets), nothing, Outcome(state, Lines(), ()))
 
 
@@ -211,7 +211,7 @@ def filter_targets(batch: Batch) -> Batch:
     if not batch.targets.order:
         return batch
     work, targets, singles = batch.work, batch.targets, dict[str, Filtered]()
-    filtered = Together(filter_rows(work, targets), singles, targets.order)
+    filtered = FilteredTargets(filter_rows(work, targets), singles, targets.order)
     for ready, stepped in ready_each(work, {target: targets[target] for target in filtered.missing()}):
         singles[ready.target] = filter_ready(work, ready, stepped)
     return evolve(batch, joint=JointBelief(filtered, batch.state.joins))
@@ -223,7 +223,7 @@ def filter_carried(batch: Batch) -> Batch:
     rides = Rides.of(work, batch.state.joins)
     riderless = {name: state for name, state in targets.items() if name not in rides.carriers}
     singles: dict[str, Filtered] = {}
-    filtered = Together(filter_rows(work, riderless), singles, [*targets])
+    filtered = FilteredTargets(filter_rows(work, riderless), singles, [*targets])
     for target in rides.carriers_first(filtered.missing()):
         if target not in filtered:
             ride = rides.ride(target, targets[target], filtered)
@@ -240,7 +240,7 @@ def set_clocks(batch: Batch) -> Batch:
     """The clocks of cameras are learnt from all targets, which are given them."""
     work, joint = batch.work, batch.joint
     clocks, singles, events = learn_clocks(work, batch.state.history, joint.filtered)
-    together = Together(joint.filtered.groups, singles, joint.filtered.order)
+    together = FilteredTargets(joint.filtered.groups, singles, joint.filtered.order)
     state = evolve(batch.state, history=evolve(batch.state.history, clocks=clocks))
     associated = batch.associated
     if associated is not None:

@@ -187,14 +187,14 @@ def blurred_below(offsets: Floats, sds: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Levels:
+class StatusLevels:
     """Levels of the score, for the statuses."""
 
     score_below: float
     uncertain_below: float
 
 
-def fit_levels(scores: ArrayLike, iou: ArrayLike, spared: float = 0.02) -> Levels:
+def fit_levels(scores: ArrayLike, iou: ArrayLike, spared: float = 0.02) -> StatusLevels:
     """Levels that tell on target from off it.
 
     `uncertain_below` is where the share of frames off target below it exceeds that of frames on target most
@@ -204,14 +204,14 @@ def fit_levels(scores: ArrayLike, iou: ArrayLike, spared: float = 0.02) -> Level
     values, overlaps = np.asarray(scores, dtype=np.float64), np.asarray(iou, dtype=np.float64)
     on_scores, off_scores = np.sort(values[overlaps > ON_TARGET]), np.sort(values[overlaps < OFF_TARGET])
     if not len(on_scores) or not len(off_scores):
-        return Levels(0.2, 0.5)
+        return StatusLevels(0.2, 0.5)
     grid = np.linspace(0.05, 0.95, 91)
     gain = np.searchsorted(off_scores, grid) / len(off_scores) - np.searchsorted(on_scores, grid) / len(
         on_scores
     )
     high = float(grid[int(np.argmax(gain))])
     low = min(float(np.quantile(on_scores, spared)), 0.8 * high)
-    return Levels(max(low, 0.01), high)
+    return StatusLevels(max(low, 0.01), high)
 
 
 SIGNS: Mapping[str, int] = {
@@ -229,7 +229,7 @@ USUAL_FEATURES = ("log_ud_box", "evidence")
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedCalibration:
     """Estimated calibration of a score.
 
     Attributes:
@@ -244,16 +244,16 @@ class Fitted:
 
     logistic: Mapping[str, float]
     localization_error: tuple[float, float]
-    levels: Levels
+    levels: StatusLevels
     ud_box: Mapping[str, float]
     videos: int
     frames: int
     temperatures: Mapping[str, float] = field(default_factory=dict)
 
 
-def fit(
+def fit_calibration(
     data: Sequence[CalibrationData], features: Sequence[str] = USUAL_FEATURES, keep_score: bool = False
-) -> Fitted:
+) -> FittedCalibration:
     """Estimate from runs over videos.
 
     For the score each video counts the same, however long it is. For the localization error and for
@@ -283,7 +283,7 @@ def fit(
     iou = np.concatenate([datum.iou for datum in data])
     ud = np.concatenate([datum.ud_box for datum in data])
     levels = fit_levels(np.concatenate(scores), iou)
-    return Fitted(
+    return FittedCalibration(
         logistic,
         localization_error,
         levels,
@@ -345,7 +345,7 @@ def leave_one_out(
     rows, scores, masses = [], [], []
     for video, video_data in videos.items():
         try:
-            fitted = fit([datum for datum in data if datum.video != video], features)
+            fitted = fit_calibration([datum for datum in data if datum.video != video], features)
         except ValueError as error:
             raise ValueError(f"without {video}: {error}") from None
         probabilities = np.concatenate([score_of(fitted.logistic, datum) for datum in video_data])
@@ -357,7 +357,7 @@ def leave_one_out(
     return tuple(rows), _check("all", everyone, np.concatenate(scores), np.concatenate(masses))
 
 
-def mass_below(fitted: Fitted, data: CalibrationData) -> Floats:
+def mass_below(fitted: FittedCalibration, data: CalibrationData) -> Floats:
     """(n, 2) mass of the widened belief below the true centre, in x and y."""
     p = score_of(fitted.logistic, data)[:, None]
     sd, lost_sd = (np.array([value]) for value in fitted.localization_error)

@@ -16,7 +16,7 @@ from bayesnet_track.engine.step import State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph, CheckedTarget
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import centre_from_corner, overlap
-from bayesnet_track.numerics.distributions import follow, spread_of
+from bayesnet_track.numerics.distributions import follow_spread, spread_of
 from bayesnet_track.observation.cue import Cue, Residual, context_of
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, region_of_boxes
 
@@ -102,10 +102,10 @@ def cue_residuals(graph: CheckedGraph, frames: Iterable[Frame], truth: Floats) -
     return {key: [errors for errors in values if len(errors)] for key, values in residuals.items()}
 
 
-def followed(residuals: Sequence[Floats], sd: float) -> Floats:
+def _followed(residuals: Sequence[Floats], sd: float) -> Floats:
     """The residuals of one video, each over the factor by which the sd had followed the frames before.
 
-    >>> still = followed([np.array([0.1])] * 40, 1.0)
+    >>> still = _followed([np.array([0.1])] * 40, 1.0)
     >>> bool(still[0] == 0.1 and 0.7 < still[-1] < 0.9)
     True
     """
@@ -113,7 +113,7 @@ def followed(residuals: Sequence[Floats], sd: float) -> Floats:
     scaled = [np.empty(0)]
     for errors in residuals:
         scaled.append(errors / spread_of(reference, 1)[0])
-        reference = follow(reference, [errors], [sd], MEMORY_FRAMES)
+        reference = follow_spread(reference, [errors], [sd], MEMORY_FRAMES)
     return np.concatenate(scaled)
 
 
@@ -146,7 +146,7 @@ def fit_sd(videos: Sequence[Floats]) -> FittedSd | None:
     return FittedSd(float(grid[index]), count, (float(mean_shares[index, 0]), float(mean_shares[index, 1])))
 
 
-def shares_inside(videos: Sequence[Floats], sd: float) -> tuple[float, float]:
+def central_shares(videos: Sequence[Floats], sd: float) -> tuple[float, float]:
     """Shares of the residuals in the central 50 % and 90 % of a Gaussian with `sd`, mean over videos."""
     shares = [
         [np.mean(np.abs(errors) <= q * sd) for q in NORMAL_QUANTILES] for errors in videos if len(errors)
@@ -188,9 +188,9 @@ def _judged(videos: Sequence[Sequence[Floats]]) -> FittedSd | None:
     rest_fits = [fit_sd([*joined[:k], *joined[k + 1 :]]) or fitted for k in range(len(joined))]
     scaled = [errors / sd.value for errors, sd in zip(joined, rest_fits, strict=True)]
     following = [
-        followed(residuals, sd.value) / sd.value for residuals, sd in zip(videos, rest_fits, strict=True)
+        _followed(residuals, sd.value) / sd.value for residuals, sd in zip(videos, rest_fits, strict=True)
     ]
-    return replace(fitted, left_out=shares_inside(scaled, 1.0), followed=shares_inside(following, 1.0))
+    return replace(fitted, left_out=central_shares(scaled, 1.0), followed=central_shares(following, 1.0))
 
 
 PoolErrors = Mapping[str, Floats]
@@ -203,7 +203,7 @@ and so many on each axis."""
 
 
 @dataclass(frozen=True)
-class Correlation:
+class PoolCorrelation:
     """Correlation of the errors of a pool's children.
 
     Attributes:
@@ -300,7 +300,7 @@ def own_estimate(log_likelihood: Floats | None, offsets: Floats) -> Floats:
     return np.asarray(weights @ offsets / weights.sum())
 
 
-def fit_correlation(videos: Sequence[Floats]) -> Correlation:
+def fit_correlation(videos: Sequence[Floats]) -> PoolCorrelation:
     """The mean, over pairs of children, of the correlation of their errors about 0; 0 where it is negative.
 
     Second moments are means over videos, each of (n, 2, K) residuals: a bias that children share is an error
@@ -321,7 +321,7 @@ def fit_correlation(videos: Sequence[Floats]) -> Correlation:
     without = [
         _mean_correlation(moments[:k] + moments[k + 1 :]) for k in range(len(moments)) if len(moments) > 1
     ] or [value]
-    return Correlation(value, sum(map(_said_together, usable)), (min(without), max(without)))
+    return PoolCorrelation(value, sum(map(_said_together, usable)), (min(without), max(without)))
 
 
 def _said_together(residuals: Floats) -> int:

@@ -11,8 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.evaluate.paired_boxes import Block, Measure, Pairs, assign_pairs, single_figure
-from bayesnet_track.evaluate.truth import assign
+from bayesnet_track.evaluate.paired_boxes import (
+    BoxPairs,
+    Measure,
+    SuccessiveBoxes,
+    assign_gains,
+    single_figure,
+)
+from bayesnet_track.evaluate.truth import assign_rows
 from bayesnet_track.numerics.arrays import Floats, Ints
 
 CUTOFF_PX = 50.0
@@ -68,7 +74,7 @@ class Gospa:
         return float((total / self.frames) ** (1 / self.order)) if self.frames else 0.0
 
 
-def gospa(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> Gospa:
+def gospa(pairs: BoxPairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> Gospa:
     """GOSPA of a sequence.
 
     In each frame boxes are matched one to one so that the sum is least: d^p for each pair, where d is the
@@ -80,14 +86,14 @@ def gospa(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> G
     return single_figure(pairs.blocks, frames_gospa(pairs, cutoff_px, order))
 
 
-def frames_gospa(pairs: Pairs, cutoff_px: float, order: float) -> Measure[Gospa]:
+def frames_gospa(pairs: BoxPairs, cutoff_px: float, order: float) -> Measure[Gospa]:
     """`gospa`, block by block."""
     check_metric(cutoff_px, order)
     localisation, matched = 0.0, 0
     while (block := (yield)) is not None:
         rows, columns, distance = block.nearer(cutoff_px)
         costs = distance**order
-        places = assign_pairs(rows, columns, cutoff_px**order - costs)
+        places = assign_gains(rows, columns, cutoff_px**order - costs)
         localisation += float(costs[places].sum())
         matched += len(places)
     missed, false = int(pairs.true_boxes.sum()) - matched, int(pairs.tracked_boxes.sum()) - matched
@@ -107,7 +113,7 @@ def check_metric(cutoff_px: float, order: float) -> None:
         raise ValueError(f"order {order:g}; expected a number from 1 on")
 
 
-def ospa2(pairs: Pairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> float:
+def ospa2(pairs: BoxPairs, cutoff_px: float = CUTOFF_PX, order: float = ORDER) -> float:
     """OSPA of order p and cut-off c between the true targets and the tracks, in px, 0 to c.
 
     Its base distance is that of `track_distances`. Whole tracks are matched one to one; each that the larger
@@ -126,19 +132,19 @@ def ospa2_of(distances: Floats, cutoff_px: float, order: float) -> float:
     larger = max(costs.shape)
     if not larger:
         return 0.0
-    matched = costs[assign(cutoff_px**order - costs)]
+    matched = costs[assign_rows(cutoff_px**order - costs)]
     total = matched.sum() + cutoff_px**order * (larger - len(matched))
     return float((total / larger) ** (1 / order))
 
 
-def track_distances(pairs: Pairs, cutoff_px: float) -> Floats:
+def track_distances(pairs: BoxPairs, cutoff_px: float) -> Floats:
     """(targets, tracks) time-averaged distances in px: over the frames in which at least one of the two has a
     box, the mean of min(d, c), and of c where only one has.
     """
     return single_figure(pairs.blocks, tracks_apart(pairs, cutoff_px))
 
 
-def tracks_apart(pairs: Pairs, cutoff_px: float) -> Measure[Floats]:
+def tracks_apart(pairs: BoxPairs, cutoff_px: float) -> Measure[Floats]:
     """`track_distances`, block by block."""
     sums = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
     common = np.zeros(sums.shape)
@@ -150,7 +156,7 @@ def tracks_apart(pairs: Pairs, cutoff_px: float) -> Measure[Floats]:
     return np.asarray(cutoff_px - sums / either, dtype=np.float64)
 
 
-def _count_common(block: Block, common: Floats) -> None:
+def _count_common(block: SuccessiveBoxes, common: Floats) -> None:
     """Add to (targets, tracks) the number of frames of a block in which both have a box."""
     frames = np.intersect1d(block.true_frames, block.tracked_frames)
     present, numbers = [], []
@@ -208,7 +214,7 @@ class TrajectoryGospa:
 
 
 def trajectory_gospa(
-    pairs: Pairs,
+    pairs: BoxPairs,
     cutoff_px: float = CUTOFF_PX,
     order: float = ORDER,
     switch_px: float | None = None,
@@ -251,7 +257,7 @@ class _Part:
     tracked: Ints
 
 
-def _parts(pairs: Pairs, cutoff_px: float, order: float) -> Iterator[_Part]:
+def _parts(pairs: BoxPairs, cutoff_px: float, order: float) -> Iterator[_Part]:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

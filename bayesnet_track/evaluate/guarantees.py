@@ -26,7 +26,7 @@ PARTS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class CalibrationRun:
     """One run over a calibration video, each frame after the first.
 
     Attributes:
@@ -78,7 +78,7 @@ def allowed_risk(videos: int, share: float, worst: float = 1.0) -> float:
     return (share * (videos + 1) - worst) / videos
 
 
-def control_risk(videos: Sequence[Sequence[Run]], share: float) -> Controlled:
+def control_risk(videos: Sequence[Sequence[CalibrationRun]], share: float) -> Controlled:
     """The lowest level at which the expected share of a new video is at most `share`.
 
     The loss of a video is the share of its frames with a mean score above the level and an IoU of at most
@@ -94,7 +94,7 @@ def control_risk(videos: Sequence[Sequence[Run]], share: float) -> Controlled:
     return Controlled(level, share_wrong(videos, level), risk_limit, share_called(videos, level), len(videos))
 
 
-def control_afterwards(videos: Sequence[Sequence[Run]], share: float) -> tuple[float, ...]:
+def control_afterwards(videos: Sequence[Sequence[CalibrationRun]], share: float) -> tuple[float, ...]:
     """Levels of a run that is over, the k-th for one with at most a share k / 20 of its frames above.
 
     Off target it can be in no larger share. That bound takes the place of the 1 for a new video of which
@@ -112,7 +112,7 @@ def control_afterwards(videos: Sequence[Sequence[Run]], share: float) -> tuple[f
     )
 
 
-def _lowest_level(videos: Sequence[Sequence[Run]], risk_limit: float) -> float:
+def _lowest_level(videos: Sequence[Sequence[CalibrationRun]], risk_limit: float) -> float:
     """The lowest level at which the mean loss is at most `risk_limit`."""
     levels, weights = [np.zeros(1)], [np.zeros(1)]
     for runs in videos:
@@ -129,14 +129,14 @@ def _lowest_level(videos: Sequence[Sequence[Run]], risk_limit: float) -> float:
     return _rounded_up(float(level[first]))
 
 
-def share_wrong(videos: Sequence[Sequence[Run]], level: float) -> float:
+def share_wrong(videos: Sequence[Sequence[CalibrationRun]], level: float) -> float:
     """Mean over videos of the share of frames that are called tracking while IoU is at most 0.5."""
     return fmean(
         fmean(float(((run.means > level) & (run.iou <= ON_TARGET)).mean()) for run in runs) for runs in videos
     )
 
 
-def share_called(videos: Sequence[Sequence[Run]], level: float) -> float:
+def share_called(videos: Sequence[Sequence[CalibrationRun]], level: float) -> float:
     """Mean over videos of the share of the frames on target that are called tracking; NaN without any."""
     shares = []
     for runs in videos:
@@ -146,14 +146,14 @@ def share_called(videos: Sequence[Sequence[Run]], level: float) -> float:
     return fmean(shares) if shares else math.nan
 
 
-def share_called_afterwards(videos: Sequence[Sequence[Run]], levels: Sequence[float]) -> float:
+def share_called_afterwards(videos: Sequence[Sequence[CalibrationRun]], levels: Sequence[float]) -> float:
     """`share_called` with each run at the level that is its own when it is over."""
     return share_called([[_judged(run, levels) for run in runs] for runs in videos], 0.5)
 
 
-def _judged(run: Run, levels: Sequence[float]) -> Run:
+def _judged(run: CalibrationRun, levels: Sequence[float]) -> CalibrationRun:
     """The run with 1 where it is called tracking, and 0 elsewhere."""
-    return Run((run.means > level_afterwards(levels, run.means)).astype(float), run.iou)
+    return CalibrationRun((run.means > level_afterwards(levels, run.means)).astype(float), run.iou)
 
 
 def largest_evidence(scores: Iterable[float], iou: Iterable[float]) -> float:
@@ -177,12 +177,12 @@ def total_evidence(videos: Sequence[Sequence[CalibrationData]], share: float) ->
     return sum(fmean(largest_evidence(run.all_scores, run.all_iou) for run in runs) for runs in videos)
 
 
-def runs_of(data: Iterable[CalibrationData], frames: int) -> dict[str, list[Run]]:
+def runs_of(data: Iterable[CalibrationData], frames: int) -> dict[str, list[CalibrationRun]]:
     """Video -> its runs, with means over `frames` scores as the engine takes them."""
-    runs: dict[str, list[Run]] = {}
+    runs: dict[str, list[CalibrationRun]] = {}
     for datum in data:
         means = means_of(datum.all_scores.tolist(), frames)
-        runs.setdefault(datum.video, []).append(Run(means, datum.all_iou))
+        runs.setdefault(datum.video, []).append(CalibrationRun(means, datum.all_iou))
     return runs
 
 

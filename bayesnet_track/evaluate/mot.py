@@ -20,15 +20,23 @@ from bayesnet_track.evaluate.gospa import (
 )
 from bayesnet_track.evaluate.paired_boxes import (
     UNASSIGNED,
+    BoxPairs,
     Measure,
-    Pairs,
-    assign_pairs,
+    assign_gains,
     continued_matches,
-    measured,
+    measured_blocks,
     single_figure,
 )
 from bayesnet_track.evaluate.scores import meanings
-from bayesnet_track.evaluate.truth import EPSILON, Tracks, assign, class_names, of_classes, pair, read_pair
+from bayesnet_track.evaluate.truth import (
+    EPSILON,
+    Tracks,
+    assign_rows,
+    class_names,
+    of_classes,
+    pair,
+    read_pair,
+)
 from bayesnet_track.numerics.arrays import Floats, Ints
 
 LEAST_IOU = 0.5
@@ -63,7 +71,7 @@ class ClearMot:
         return self.iou_sum / self.tp if self.tp else 0.0
 
 
-def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
+def clear_mot(pairs: BoxPairs, min_iou: float = LEAST_IOU) -> ClearMot:
     """CLEAR MOT of a sequence with true boxes.
 
     In each frame boxes are matched one to one where they overlap by at least `min_iou`: a pair that was
@@ -72,7 +80,7 @@ def clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> ClearMot:
     return single_figure(pairs.blocks, _clear_mot(pairs, min_iou))
 
 
-def _clear_mot(pairs: Pairs, min_iou: float = LEAST_IOU) -> Measure[ClearMot]:
+def _clear_mot(pairs: BoxPairs, min_iou: float = LEAST_IOU) -> Measure[ClearMot]:
     previous_match = np.full(len(pairs.true_boxes), UNASSIGNED, dtype=np.int64)
     earlier = previous_match.copy()
     tp, idsw, iou_sum = 0, 0, 0.0
@@ -126,7 +134,7 @@ class Hota:
         return np.asarray(np.sqrt(self.deta * self.assa), dtype=np.float64)
 
 
-def hota(pairs: Pairs) -> Hota:
+def hota(pairs: BoxPairs) -> Hota:
     """HOTA of a sequence with true boxes.
 
     In each frame boxes are matched one to one so that the sum of overlap times alignment is largest, where
@@ -137,13 +145,13 @@ def hota(pairs: Pairs) -> Hota:
     return _hota(pairs, single_figure(pairs.blocks, _alignment(pairs)))
 
 
-def _hota(pairs: Pairs, alignment: Floats) -> Hota:
+def _hota(pairs: BoxPairs, alignment: Floats) -> Hota:
     size, width = len(ALPHAS) + 1, max(len(pairs.tracked_boxes), 1)
     codes, code_counts, level_iou = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)], np.zeros(size)
     for block in pairs.blocks:
         rows, columns, iou = block.overlapping
         true, tracked = block.true[rows].astype(np.int64), block.tracked[columns]
-        places = assign_pairs(rows, columns, alignment[true, tracked] * iou)
+        places = assign_gains(rows, columns, alignment[true, tracked] * iou)
         level = np.searchsorted(ALPHAS - EPSILON, iou[places], side="right")  # thresholds that are reached
         block_codes, counts = np.unique(
             (true[places] * width + tracked[places]) * size + level, return_counts=True
@@ -174,7 +182,7 @@ def _at_least(of_levels: np.ndarray) -> np.ndarray:
     return np.cumsum(of_levels[:, :0:-1], axis=1)[:, ::-1]
 
 
-def _alignment(pairs: Pairs) -> Measure[Floats]:
+def _alignment(pairs: BoxPairs) -> Measure[Floats]:
     """(targets, tracks) Jaccard alignment; in a frame a pair counts by its share of both's overlaps."""
     both_sizes = pairs.true_boxes[:, None] + pairs.tracked_boxes[None, :]
     shared = np.zeros(both_sizes.shape)
@@ -296,7 +304,7 @@ def score_mot(
     sizes = cutoff_px, ORDER
     of_sets = frames_gospa(pairs, *sizes), tracks_apart(pairs, cutoff_px)
     measures = _clear_mot(pairs), _identity(pairs), _alignment(pairs), *of_sets
-    clear, identities, alignment, sets, distances = measured(pairs.blocks, *measures)
+    clear, identities, alignment, sets, distances = measured_blocks(pairs.blocks, *measures)
     higher = _hota(pairs, alignment)
     trajectory = trajectory_gospa(pairs, cutoff_px, ORDER) if trajectories else None
     return MotScore(
@@ -352,7 +360,7 @@ def score_mot_files(
 
 
 @dataclass(frozen=True)
-class Identity:
+class IdentityCounts:
     """Counts over a sequence.
 
     Attributes:
@@ -381,7 +389,7 @@ class Identity:
         return self.idtp / (self.idtp + self.idfn)
 
 
-def identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Identity:
+def identity(pairs: BoxPairs, min_iou: float = LEAST_IOU) -> IdentityCounts:
     """Identity scores of a sequence with true boxes.
 
     Whole tracks are assigned to whole targets, one to one, so that most of their boxes overlap by at least
@@ -390,14 +398,14 @@ def identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Identity:
     return single_figure(pairs.blocks, _identity(pairs, min_iou))
 
 
-def _identity(pairs: Pairs, min_iou: float = LEAST_IOU) -> Measure[Identity]:
+def _identity(pairs: BoxPairs, min_iou: float = LEAST_IOU) -> Measure[IdentityCounts]:
     together = np.zeros((len(pairs.true_boxes), len(pairs.tracked_boxes)))
     while (block := (yield)) is not None:
         rows, columns, iou = block.overlapping
         i, j = rows[iou >= min_iou], columns[iou >= min_iou]
         np.add.at(together, (block.true[i], block.tracked[j]), 1)
-    idtp = int(together[assign(together)].sum())
-    return Identity(idtp, int(pairs.true_boxes.sum()) - idtp, int(pairs.tracked_boxes.sum()) - idtp)
+    idtp = int(together[assign_rows(together)].sum())
+    return IdentityCounts(idtp, int(pairs.true_boxes.sum()) - idtp, int(pairs.tracked_boxes.sum()) - idtp)
 
 
 def score_classes(

@@ -62,11 +62,11 @@ def check_motion(root: spec.InferenceNode) -> None:
         raise MotionFitError(
             "modes: they differ in the fields of their state or in what has noise; make them alike"
         )
-    if not dict(parameters_of(root)):
+    if not dict(fitted_parameters(root)):
         raise MotionFitError("motion: every sd is 0; only those above 0 are fitted: give one a value")
 
 
-def parameters_of(root: spec.InferenceNode) -> Iterator[tuple[Path, float]]:
+def fitted_parameters(root: spec.InferenceNode) -> Iterator[tuple[Path, float]]:
     """Path and value of each parameter that is fitted: sds above 0, heavy tails, durations of modes."""
     assert root.motion is not None
     uses = root.modes is None or any(mode.motion is None for mode in root.modes.values())
@@ -116,13 +116,13 @@ VALUES = {"weight": (0.05, 0.3), "factor": (3.0, 10.0)}
 """Values at the starts, beside the graph's own."""
 
 
-def places_of(paths: Sequence[Path], values: Floats) -> Floats:
+def search_places(paths: Sequence[Path], values: Floats) -> Floats:
     """Values (..., P) on the scales of the search: log odds of a share, logarithms of the rest."""
     with np.errstate(invalid="ignore", divide="ignore"):  # others than shares may be 1 or more
         return np.asarray(np.log(values) - np.where(_are_shares(paths), np.log1p(-values), 0.0))
 
 
-def values_at(paths: Sequence[Path], places: Floats) -> Floats:
+def search_values(paths: Sequence[Path], places: Floats) -> Floats:
     """The values (..., P) at places."""
     with np.errstate(over="ignore"):
         return np.asarray(np.where(_are_shares(paths), 1.0 / (1.0 + np.exp(-places)), np.exp(places)))
@@ -137,7 +137,7 @@ def bounds_of(paths: Sequence[Path], first: Floats) -> tuple[Floats, Floats]:
         elif path[-1] == "factor":
             low[k] = np.log(LEAST_FACTOR)
         elif path[-1] == "weight":
-            low[k], high[k] = places_of([path] * 2, np.array([LEAST_WEIGHT, MOST_WEIGHT]))
+            low[k], high[k] = search_places([path] * 2, np.array([LEAST_WEIGHT, MOST_WEIGHT]))
     return low, high
 
 
@@ -214,7 +214,7 @@ ERRORS = (("error", "place"), ("error", "size"))
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FittedParameter:
     """A fitted parameter.
 
     Attributes:
@@ -222,7 +222,7 @@ class Estimate:
         value: by maximum evidence.
         low: lower end of the 90 % interval.
         high: upper end.
-        before: the graph's own value; NaN for an error of the boxes.
+        graph_value: the graph's own value; NaN for an error of the boxes.
         is_known: whether the boxes determine it: its interval, of a share that of its odds, spans less than a
             factor of 27.
     """
@@ -231,7 +231,7 @@ class Estimate:
     value: float
     low: float
     high: float
-    before: float
+    graph_value: float
     is_known: bool
 
 
@@ -246,7 +246,7 @@ class FittedMotion:
         frames: frames with a box, the first of each track left out.
     """
 
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[FittedParameter, ...]
     log_evidence: float
     log_evidence_before: float
     frames: int
@@ -277,19 +277,19 @@ def fit_motion(
         raise MotionFitError(
             f"{frames} frames with a box after the first; at least {FEWEST_FRAMES} are needed"
         )
-    parameters = dict(parameters_of(root))
+    parameters = dict(fitted_parameters(root))
     begin = parameters if error_sd is not None else parameters | _first_errors(root, trimmed)
     paths = list(begin)
     fixed = None if error_sd is None else _given_errors(root, trimmed, error_sd)
 
     def evidence(places: Floats) -> Floats:
         """(B,) at B places, each on the scales of the parameters."""
-        rows = values_at(paths, places).tolist()
+        rows = search_values(paths, places).tolist()
         hypotheses = [_hypothesis(root, dict(zip(paths, row, strict=True)), fixed) for row in rows]
         each = [log_evidence(track, hypotheses) for track in trimmed]
         return np.asarray(np.sum(each, axis=0))
 
-    starts = places_of(paths, starts_of(begin))
+    starts = search_places(paths, starts_of(begin))
     first = starts[0]
     low, high = bounds_of(paths, first)
     starts = np.clip(starts, low, high)
@@ -415,12 +415,14 @@ def _sds(curvature: Floats, at_bound: NDArray[np.bool_]) -> Floats:
 
 def _estimates(
     paths: Sequence[Path], optimum: Floats, sds: Floats, parameters: Mapping[Path, float]
-) -> tuple[Estimate, ...]:
+) -> tuple[FittedParameter, ...]:
     reach = QUANTILE * sds
     values, low, high = (
-        values_at(paths, place).tolist() for place in (optimum, optimum - reach, optimum + reach)
+        search_values(paths, place).tolist() for place in (optimum, optimum - reach, optimum + reach)
     )
     return tuple(
-        Estimate(path, values[k], low[k], high[k], parameters.get(path, np.nan), bool(sds[k] <= LARGEST_SD))
+        FittedParameter(
+            path, values[k], low[k], high[k], parameters.get(path, np.nan), bool(sds[k] <= LARGEST_SD)
+        )
         for k, path in enumerate(paths)
     )

@@ -24,7 +24,7 @@ EdgeList = tuple[Ints, Ints, Floats]
 """Pairs of a block: place of the true box, place of the tracked box, and a figure of both, all (E,)."""
 
 
-class Block(Protocol):
+class SuccessiveBoxes(Protocol):
     """Boxes of successive frames, in the order of the frames."""
 
     @property
@@ -53,7 +53,7 @@ class Block(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class BoxBlock:
-    """`Block` of centre boxes (A, 4) and (B, 4), compared when it is asked for."""
+    """`SuccessiveBoxes` of centre boxes (A, 4) and (B, 4), compared when it is asked for."""
 
     true: Ints
     tracked: Ints
@@ -116,7 +116,7 @@ def _select(is_pair: np.ndarray, rows: Ints, columns: Ints, figures: Floats) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class BoxPairs:
     """All pairs of a sequence.
 
     Attributes:
@@ -127,7 +127,7 @@ class Pairs:
         length: number of frames up to the last that has a box, those without boxes included.
     """
 
-    blocks: Iterable[Block]
+    blocks: Iterable[SuccessiveBoxes]
     true_boxes: Ints
     tracked_boxes: Ints
     length: int
@@ -180,7 +180,7 @@ class _Blocks:
     tracked: _Side
     ends: Sequence[tuple[int, int, int, int]]
 
-    def __iter__(self) -> Iterator[Block]:
+    def __iter__(self) -> Iterator[SuccessiveBoxes]:
         for true_start, true_end, tracked_start, tracked_end in self.ends:
             true, tracked = (
                 self.true.part(true_start, true_end),
@@ -196,7 +196,7 @@ class _Blocks:
             )
 
 
-def pair_boxes(true: tuple[Ints, Ints, Floats], tracked: tuple[Ints, Ints, Floats]) -> Pairs:
+def pair_boxes(true: tuple[Ints, Ints, Floats], tracked: tuple[Ints, Ints, Floats]) -> BoxPairs:
     """Pairs of boxes in any order, by frames (N,), identities (N,) and corner boxes (N, 4) of both sides."""
     sides = _Side.ordered(*true), _Side.ordered(*tracked)
     frames = np.union1d(*(np.unique(side.frames) for side in sides))
@@ -216,18 +216,18 @@ def pair_boxes(true: tuple[Ints, Ints, Floats], tracked: tuple[Ints, Ints, Float
         ends.append((first, len(frames)))
     (true_starts, tracked_starts) = (start.tolist() for start in starts)
     of_boxes = [(true_starts[a], true_starts[b], tracked_starts[a], tracked_starts[b]) for a, b in ends]
-    blocks: Iterable[Block] = _Blocks(*sides, of_boxes)
+    blocks: Iterable[SuccessiveBoxes] = _Blocks(*sides, of_boxes)
     if int(counts[0] @ counts[1]) <= MOST_HELD:
         blocks = tuple(blocks)
-    return Pairs(blocks, sides[0].counts, sides[1].counts, int(frames[-1]) + 1 if len(frames) else 0)
+    return BoxPairs(blocks, sides[0].counts, sides[1].counts, int(frames[-1]) + 1 if len(frames) else 0)
 
 
 T = TypeVar("T")
-Measure = Generator[None, Block | None, T]
+Measure = Generator[None, SuccessiveBoxes | None, T]
 """A figure of a sequence: it is sent one block after the other, then None, and returns it."""
 
 
-def measured(blocks: Iterable[Block], *measures: Measure[Any]) -> list[Any]:
+def measured_blocks(blocks: Iterable[SuccessiveBoxes], *measures: Measure[Any]) -> list[Any]:
     """The figures, of one pass over the blocks: those of a long sequence are made once for all."""
     for measure in measures:
         next(measure)
@@ -237,9 +237,9 @@ def measured(blocks: Iterable[Block], *measures: Measure[Any]) -> list[Any]:
     return [_result(measure) for measure in measures]
 
 
-def single_figure(blocks: Iterable[Block], measure: Measure[T]) -> T:
+def single_figure(blocks: Iterable[SuccessiveBoxes], measure: Measure[T]) -> T:
     """One figure, of a pass of its own."""
-    result: T = measured(blocks, measure)[0]
+    result: T = measured_blocks(blocks, measure)[0]
     return result
 
 
@@ -256,7 +256,7 @@ _MOST_TOGETHER = 1000
 """Rows that are solved for in one call, whose time grows with their square."""
 
 
-def assign_pairs(rows: Ints, columns: Ints, gains: Floats) -> Ints:
+def assign_gains(rows: Ints, columns: Ints, gains: Floats) -> Ints:
     """Places among the pairs (E,) of the one-to-one assignment with the largest sum of gains, all above 0.
 
     A pair that gains more than the best others of its row and its column together is in every such
@@ -332,7 +332,7 @@ def _solved(rows: Ints, columns: Ints, gains: Floats, places: Ints) -> Iterator[
 UNASSIGNED = -1
 
 
-def continued_matches(block: Block, edges: EdgeList, earlier: Ints) -> Ints:
+def continued_matches(block: SuccessiveBoxes, edges: EdgeList, earlier: Ints) -> Ints:
     """(A,) the tracked box that each true box of a block is matched with, or `UNASSIGNED`.
 
     A pair that is its own row's and column's only one is a match. Only the frames with others are gone
@@ -356,7 +356,7 @@ def continued_matches(block: Block, edges: EdgeList, earlier: Ints) -> Ints:
     return match
 
 
-def _match_frame(block: Block, edges: EdgeList, earlier: Ints, match: Ints) -> None:
+def _match_frame(block: SuccessiveBoxes, edges: EdgeList, earlier: Ints, match: Ints) -> None:
     """Match the pairs of one frame, those of `earlier` first."""
     rows, columns, iou = edges
     is_continued = earlier[block.true[rows]] == block.tracked[columns]
@@ -369,11 +369,11 @@ def _match_frame(block: Block, edges: EdgeList, earlier: Ints, match: Ints) -> N
     ]
     if remaining:
         i, j = rows[remaining], columns[remaining]
-        places = assign_pairs(i, j, iou[remaining])
+        places = assign_gains(i, j, iou[remaining])
         match[i[places]] = j[places]
 
 
-def _set_tracks(block: Block, match: Ints, boxes: slice, tracks: Ints) -> None:
+def _set_tracks(block: SuccessiveBoxes, match: Ints, boxes: slice, tracks: Ints) -> None:
     """Set the tracks (targets,) to those of some true boxes of a block."""
     tracks.fill(UNASSIGNED)
     matched = match[boxes] != UNASSIGNED

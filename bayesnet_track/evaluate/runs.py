@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from bayesnet_track.evaluate.mot import MotScore, score_mot
-from bayesnet_track.evaluate.scores import Score, score
+from bayesnet_track.evaluate.scores import TrackScore, score_pass
 from bayesnet_track.evaluate.truth import Tracks, TruthForm, read_pair, read_truth
 from bayesnet_track.graph.text.load import read_graph
 from bayesnet_track.journal.blocks import boxes_of
@@ -38,7 +38,7 @@ def score_run(
     truth_path: str | Path,
     target: str | None = None,
     form: TruthForm | None = None,
-) -> Score:
+) -> TrackScore:
     """Scores of one target of a run; row i of the truth belongs to the frame with index i.
 
     Reads what was measured and, where there is one, ``timings.jsonl``. Frames beyond the end of the truth are
@@ -62,7 +62,7 @@ def score_run(
     if not any(frame in lines for frame in frames):
         raise ValueError(f"{truth_path}: {len(truth)} boxes, none of them for a frame of {folder}")
     metrics = [lines.get(frame) for frame in frames]
-    run_score = score(
+    run_score = score_pass(
         np.array([_NOTHING if line is None else corner_from_centre(line.centre_box) for line in metrics]),
         [line is None or line.is_gone for line in metrics],
         truth[frames],

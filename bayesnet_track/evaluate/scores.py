@@ -24,7 +24,7 @@ StatusTable = Mapping[str, Mapping[str, int]]
 
 
 @dataclass(frozen=True)
-class Score:
+class TrackScore:
     """Scores of one target. Shares are 0..1; None where there was nothing to measure.
 
     Attributes:
@@ -88,7 +88,7 @@ class Score:
         The figures of long-term tracking are left out where the target is never absent.
         """
         lines = []
-        for name, meaning in meanings(Score).items():
+        for name, meaning in meanings(TrackScore).items():
             if name.startswith("long_") and self.long_f is None:
                 continue
             line = f"{name:<14} {_show(getattr(self, name))}"
@@ -115,7 +115,7 @@ def meanings(kind: Any) -> Mapping[str, str]:
     return {name: hint.__metadata__[0] for name, hint in hints.items() if get_origin(hint) is Annotated}
 
 
-def score(
+def score_pass(
     boxes: ArrayLike,
     lost: ArrayLike,
     truth: ArrayLike,
@@ -126,7 +126,7 @@ def score(
     region90: ArrayLike | None = None,
     confidence: ArrayLike | None = None,
     statuses: Sequence[str] | None = None,
-) -> Score:
+) -> TrackScore:
     """Scores of one pass of n frames.
 
     Args:
@@ -158,7 +158,7 @@ def score(
     iou, gone = np.where(reported_mask[present], overlap(centre, true_centre), 0.0), given_up[present]
     episodes = lost_episodes(iou)
     long = None if trust is None else _long_term(iou, trust, present)
-    return Score(
+    return TrackScore(
         frames=len(true),
         scored_frames=int(present.sum()),
         auc=success_auc(iou),
@@ -192,7 +192,7 @@ def _spread(iou: Floats, present: NDArray[np.bool_]) -> Floats:
 def _checked(
     boxes: ArrayLike, lost: ArrayLike, truth: ArrayLike
 ) -> tuple[Floats, NDArray[np.bool_], Floats, NDArray[np.bool_]]:
-    """Boxes, lost and truth as arrays, and in which frames the target is present; raises as `score`."""
+    """Boxes, lost and truth as arrays, and in which frames the target is present; raises as `score_pass`."""
     reported, true = np.asarray(boxes, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     given_up = np.asarray(lost, dtype=bool)
     if (

@@ -11,7 +11,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.evaluate.paired_boxes import Pairs, assign_pairs, pair_boxes
+from bayesnet_track.evaluate.paired_boxes import BoxPairs, assign_gains, pair_boxes
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation.settings import setting, to_caller
@@ -24,12 +24,12 @@ from bayesnet_track.sources.entrances.boxes import (
     refuse_shares,
 )
 from bayesnet_track.sources.entrances.notices import few, notice
-from bayesnet_track.sources.entrances.text_lines import Lines, explain_word, is_number, split_lines
+from bayesnet_track.sources.entrances.text_lines import TextLines, explain_word, is_number, split_lines
 from bayesnet_track.sources.mot_blocks import (
     CORNERS,
     is_kitti,
     layout_of,
-    plain,
+    plain_name,
     read_plain_boxes,
     starts_plain,
 )
@@ -113,14 +113,14 @@ def is_mot(path: str | Path, form: TruthForm | None = None) -> bool:
     return starts_plain(path) or has_frames_and_ids(split_lines(read_text(path), str(path)))
 
 
-def has_frames_and_ids(lines: Lines) -> bool:
+def has_frames_and_ids(lines: TextLines) -> bool:
     """True if lines are those of several targets; by the first one, or by all if they have 8 numbers.
 
     Raises:
         ValueError: they can be MOT as well as polygons.
     """
     if lines.header is not None:
-        names = {plain(word) for word in lines.header[1]}
+        names = {plain_name(word) for word in lines.header[1]}
         if names >= set(CORNERS):
             return False
         columns = layout_of(lines.header, lines.name).columns
@@ -133,11 +133,11 @@ def has_frames_and_ids(lines: Lines) -> bool:
     return is_mot_of_8(np.array(_rows(lines, number)), lines.name)
 
 
-def _form_of_header(lines: Lines) -> TruthForm | None:
+def _form_of_header(lines: TextLines) -> TruthForm | None:
     """Form of the lines under a header of boxes; None where it names frames."""
     assert lines.header is not None
     number, words = lines.header
-    names = tuple(plain(word) for word in words)
+    names = tuple(plain_name(word) for word in words)
     if names == CORNERS:
         return "polygons"
     layout = layout_of(lines.header, lines.name)
@@ -153,7 +153,7 @@ def _form_of_header(lines: Lines) -> TruthForm | None:
     return "corners" if sides[0] == "right" else "boxes"
 
 
-def _rows(lines: Lines, first: int | None = None) -> list[list[float]]:
+def _rows(lines: TextLines, first: int | None = None) -> list[list[float]]:
     """The numbers of every line, 4, 5 or 8; an empty line between others is refused."""
     rows: list[list[float]] = []
     following, is_plain = (lines.first if first is None else first), lines.is_plain
@@ -184,7 +184,7 @@ def _box(row: list[float], form: TruthForm | None) -> list[float]:
     return row
 
 
-def _framed(rows: list[list[float]], lines: Lines) -> Floats:
+def _framed(rows: list[list[float]], lines: TextLines) -> Floats:
     """Boxes at the places that the first of their 5 numbers gives, from 1."""
     frames = np.array([row[0] for row in rows])
     for number, frame, previous in zip(
@@ -282,19 +282,19 @@ def class_names(tracks: Tracks) -> list[str]:
     return sorted(names, key=lambda name: (not name.isdigit(), int(name) if name.isdigit() else 0, name))
 
 
-def pair(truth: Tracks, tracks: Tracks) -> Pairs:
+def pair(truth: Tracks, tracks: Tracks) -> BoxPairs:
     """Every true box beside every tracked box of its frame; of identities only equality matters."""
     true, tracked = ((side.frames, side.ids, side.boxes) for side in (truth, tracks))
     return pair_boxes(true, tracked)
 
 
-def assign(gains: Floats) -> tuple[Ints, Ints]:
+def assign_rows(gains: Floats) -> tuple[Ints, Ints]:
     """Rows and columns of the one-to-one assignment with the largest sum of gains (G, K), none below 0.
 
     Pairs without a gain are left out.
     """
     rows, columns = np.nonzero(gains)
-    places = assign_pairs(rows, columns, gains[rows, columns])
+    places = assign_gains(rows, columns, gains[rows, columns])
     return rows[places], columns[places]
 
 
@@ -332,7 +332,7 @@ def _on_others(truth: Tracks, mine: np.ndarray, tracks: Tracks) -> np.ndarray:
         rows, columns, iou = block.overlapping
         reached = iou >= MATCHED_IOU - EPSILON
         i, j = rows[reached], columns[reached]
-        places = assign_pairs(i, j, iou[reached])
+        places = assign_gains(i, j, iou[reached])
         on_other[block.tracked[j[places]]] = ~mine[block.true[i[places]]]
     return on_other
 

@@ -18,9 +18,9 @@ import numpy as np
 
 from bayesnet_track.evaluate.gospa import ORDER, gospa
 from bayesnet_track.evaluate.mot import clear_mot, identity
-from bayesnet_track.evaluate.paired_boxes import EdgeList, Pairs
+from bayesnet_track.evaluate.paired_boxes import BoxPairs, EdgeList
 from bayesnet_track.evaluate.scores import meanings
-from bayesnet_track.evaluate.truth import assign
+from bayesnet_track.evaluate.truth import assign_rows
 from bayesnet_track.journal.metrics import NOT_SHOWN
 from bayesnet_track.journal.reader import read_seconds
 from bayesnet_track.numerics.arrays import Array, Floats, Ints
@@ -39,7 +39,7 @@ SHARE = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class GroundPlaces:
     """Places on the ground.
 
     Attributes:
@@ -110,7 +110,7 @@ def is_world_truth(path: Path) -> bool:
     return names >= set(TRUTH) and not names & {"w", "h", "width", "height"}
 
 
-def read_world_truth(path: Path) -> Places:
+def read_world_truth(path: Path) -> GroundPlaces:
     """Places of a ground truth.
 
     Raises:
@@ -121,7 +121,7 @@ def read_world_truth(path: Path) -> Places:
     return _read(path, TRUTH, (), frozenset())
 
 
-def read_world_tracks(path: Path) -> Places:
+def read_world_tracks(path: Path) -> GroundPlaces:
     """Places of ``tracks.csv``; targets that are lost or hidden are left out.
 
     Raises:
@@ -131,7 +131,9 @@ def read_world_tracks(path: Path) -> Places:
     return _read(path, TRACKS, UNCERTAIN, frozenset(NOT_SHOWN))
 
 
-def _read(path: Path, names: Sequence[str], uncertain: Sequence[str], left_out: frozenset[str]) -> Places:
+def _read(
+    path: Path, names: Sequence[str], uncertain: Sequence[str], left_out: frozenset[str]
+) -> GroundPlaces:
     times, ids, rows = [], [], []
     first_lines: dict[tuple[float, str], int] = {}
     with path.open(encoding="utf-8-sig", newline="") as file:
@@ -167,7 +169,7 @@ def _read(path: Path, names: Sequence[str], uncertain: Sequence[str], left_out: 
             ids.append(key[1])
             rows.append((x, y, sd_x**2, sd_y**2, corr * sd_x * sd_y))
     table = np.array(rows, dtype=np.float64).reshape(-1, 5)
-    return Places(np.array(times), ids, table[:, :2], table[:, [2, 4, 4, 3]].reshape(-1, 2, 2))
+    return GroundPlaces(np.array(times), ids, table[:, :2], table[:, [2, 4, 4, 3]].reshape(-1, 2, 2))
 
 
 def end_of_run(folder: Path, tracks: Path) -> float:
@@ -186,7 +188,7 @@ def end_of_run(folder: Path, tracks: Path) -> float:
 
 
 def score_world(
-    truth: Places, tracks: Places, *, until: float = math.inf, cutoff_m: float = MATCH_M
+    truth: GroundPlaces, tracks: GroundPlaces, *, until: float = math.inf, cutoff_m: float = MATCH_M
 ) -> WorldScore:
     """Scores of places against a ground truth, at the times of the truth.
 
@@ -250,7 +252,7 @@ def _nearest(instants: Floats, times: Floats, tolerance: float) -> Ints:
     return np.where(np.abs(instants[nearest] - times) <= tolerance * (1 + 1e-9), nearest, -1)
 
 
-def _once(indices: Ints, instants: Floats, tracks: Places) -> Ints:
+def _once(indices: Ints, instants: Floats, tracks: GroundPlaces) -> Ints:
     """Of a track with several places near one instant, the nearest alone."""
     best_rows: dict[tuple[int, str], int] = {}
     for row in np.flatnonzero(indices >= 0).tolist():
@@ -289,7 +291,9 @@ class _PlaceBlock:
         return i, j, self.distance[i, j]
 
 
-def _pairs(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints, cut_m: float) -> Pairs:
+def _pairs(
+    truth: GroundPlaces, tracks: GroundPlaces, true_at: Ints, tracked_at: Ints, cut_m: float
+) -> BoxPairs:
     """All pairs; their similarity is 1 - distance / (2 cut), so that it is 0.5 at the cut-off."""
     rows = [np.flatnonzero(indices >= 0) for indices in (true_at, tracked_at)]
     numbers = [
@@ -311,7 +315,7 @@ def _pairs(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints, cut_m
         blocks.append(_PlaceBlock(ids[0][i], ids[1][j], true_frames, tracked_frames, similarity, distance))
         length = instant + 1
     true_boxes, tracked_boxes = (number[2].astype(np.int64) for number in numbers)
-    return Pairs(tuple(blocks), true_boxes, tracked_boxes, length)
+    return BoxPairs(tuple(blocks), true_boxes, tracked_boxes, length)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,13 +327,13 @@ class _Errors:
     targets: Sequence[str]
 
 
-def _errors(truth: Places, tracks: Places, true_at: Ints, tracked_at: Ints) -> _Errors:
+def _errors(truth: GroundPlaces, tracks: GroundPlaces, true_at: Ints, tracked_at: Ints) -> _Errors:
     offsets, covariances, targets = [], [], []
     for instant in np.unique(true_at[true_at >= 0]).tolist():
         i, j = np.flatnonzero(true_at == instant), np.flatnonzero(tracked_at == instant)
         differences = tracks.points[j][None] - truth.points[i][:, None]
         distance = np.hypot(differences[..., 0], differences[..., 1])
-        for row, column in zip(*assign(np.maximum(_BEYOND_M - distance, 0.0)), strict=True):
+        for row, column in zip(*assign_rows(np.maximum(_BEYOND_M - distance, 0.0)), strict=True):
             if distance[row, column] <= MATCH_M:
                 offsets.append(differences[row, column])
                 covariances.append(tracks.covariances[j[column]])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.checks.latent import Form, form_of, is_latent
-from bayesnet_track.graph.expressions.parse import text_of
+from bayesnet_track.graph.expressions.parse import term_text
 from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
@@ -156,7 +156,7 @@ class Plan:
             for step in self.fusions
         ]
         idle = [("off", agent, "") for agent in self.idle_planes]
-        factors = [("weigh", step.factor, f"{text_of(step.term)} at {step.at}") for step in self.factors]
+        factors = [("weigh", step.factor, f"{term_text(step.term)} at {step.at}") for step in self.factors]
         rows = [("planes", self.target, planes), *views, *draws, *observed, *factors, *joined, *idle]
         return table(rows, ("step", "node", "what"))
 
@@ -303,7 +303,7 @@ def describe_plan(plan: Plan, agents: Mapping[str, AgentNode] | None = None) -> 
     for step in plan.observations:
         cue = "" if agents is None else f" ({agents[step.agent].agent.cue})"
         lines.append(f"  observe  {step.agent}{cue} at the hypotheses of {step.at}")
-    lines += [f"  weigh    {step.factor} at {step.at}: {text_of(step.term)}" for step in plan.factors]
+    lines += [f"  weigh    {step.factor} at {step.at}: {term_text(step.term)}" for step in plan.factors]
     for fusion in plan.fusions:
         terms = ", ".join(
             child if fusion.kind != "pool" or child in fusion.factors else f"{child}^{weight:.3g}"

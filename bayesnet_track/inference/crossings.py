@@ -93,9 +93,9 @@ class Sample:
     covariance: Floats
 
 
-def advance(line: Crossing, trail: Trail | None, sample: Sample, exists: float) -> Trail:
+def advance_trail(line: Crossing, trail: Trail | None, sample: Sample, exists: float) -> Trail:
     """The trail with one frame more; without one before it begins."""
-    distance = signed_distance(line, sample.places)
+    distance = _signed_distance(line, sample.places)
     sure = np.where(np.abs(distance) >= line.hysteresis_px, np.sign(distance), 0).astype(np.int64)
     size = len(sample.places)
     if trail is None:
@@ -130,11 +130,11 @@ def advance(line: Crossing, trail: Trail | None, sample: Sample, exists: float) 
     )
 
 
-def signed_distance(line: Crossing, places: Floats) -> Floats:
+def _signed_distance(line: Crossing, places: Floats) -> Floats:
     """(N,) distance from the line through both ends, px: negative on its left.
 
     >>> line = Crossing.model_validate({"line": [[0, 5], [10, 5]]})
-    >>> signed_distance(line, np.array([[3.0, 1.0], [3.0, 9.0]])).tolist()
+    >>> _signed_distance(line, np.array([[3.0, 1.0], [3.0, 9.0]])).tolist()
     [-4.0, 4.0]
     """
     (x, y), (u, v) = line.line
@@ -145,7 +145,7 @@ def signed_distance(line: Crossing, places: Floats) -> Floats:
 
 def _leads_through(line: Crossing, previous: Trail, places: Floats, distance: Floats) -> Bools:
     """(N,) whether the last change of side led through the segment, this step included."""
-    start = signed_distance(line, previous.places)
+    start = _signed_distance(line, previous.places)
     changes = (start < 0.0) != (distance < 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(changes, start / (start - distance), 0.0)
@@ -167,7 +167,7 @@ def _coupled(line: Crossing, trail: Trail, distance: Floats, weights: Floats) ->
     ranks = np.empty(len(order))
     cumulative = np.cumsum(weights[order])
     ranks[order] = (cumulative - 0.5 * weights[order]) / cumulative[-1]
-    trail_order = np.argsort(signed_distance(line, trail.places), kind="stable")
+    trail_order = np.argsort(_signed_distance(line, trail.places), kind="stable")
     shares = np.cumsum(trail.weights[trail_order])
     rows = np.minimum(np.searchsorted(shares, ranks * shares[-1]), len(trail_order) - 1)
     return np.asarray(trail_order[rows], dtype=np.intp)
@@ -185,7 +185,7 @@ def sample_weighted(group: BeliefGroup, line: Crossing, ancestors: Ancestors | N
     places = np.stack([fields["x"][0], _height_of(fields)], axis=1)
     shares = weights[0]
     if not isinstance(group, WeightedGroup) and len(shares) > TRACES:
-        order = np.argsort(signed_distance(line, places), kind="stable")
+        order = np.argsort(_signed_distance(line, places), kind="stable")
         cumulative = np.cumsum(shares[order])
         points = uniform_nodes(1, TRACES)[:, 0] * cumulative[-1]
         rows = order[np.minimum(np.searchsorted(cumulative, points), len(order) - 1)]

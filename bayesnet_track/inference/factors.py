@@ -101,7 +101,7 @@ class Factors:
     undefined: MutableMapping[str, Undefined] = field(default_factory=dict)
 
 
-def weigh(
+def weigh_factor(
     step: Weigh, hypotheses: Hypotheses, parents: Hypotheses, frames: FramePair, factors: Factors
 ) -> Floats | None:
     """(N,) log density of a factor, finite or -inf; None where it is left out of the frame.

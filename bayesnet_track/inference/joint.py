@@ -109,7 +109,7 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False)
-class Crowd:
+class JointHypotheses:
     """The S hypotheses of M targets below each other, and what is known of each.
 
     Attributes:
@@ -145,7 +145,7 @@ class Crowd:
     agents: Ints
 
     @classmethod
-    def of(cls, members: Mapping[str, Member]) -> Crowd:
+    def of(cls, members: Mapping[str, Member]) -> JointHypotheses:
         """The crowd of the members.
 
         Raises:
@@ -250,7 +250,11 @@ class PairBatch:
 
     @classmethod
     def along(
-        cls, crowd: Crowd, edges: Sequence[Edge], closing: Sequence[Edge], parents: Mapping[str, str | None]
+        cls,
+        crowd: JointHypotheses,
+        edges: Sequence[Edge],
+        closing: Sequence[Edge],
+        parents: Mapping[str, str | None],
     ) -> PairBatch:
         """The batch of a forest, by the `parents` of its targets, after children, and of edges closing rings.
 
@@ -283,12 +287,14 @@ class PairBatch:
         )
 
 
-def pass_messages(crowd: Crowd, members: Mapping[str, Member], batch: PairBatch, keys: Keys) -> Floats:
+def pass_messages(
+    crowd: JointHypotheses, members: Mapping[str, Member], batch: PairBatch, keys: Keys
+) -> Floats:
     """Messages of all pairs, (4, ...), each in units of its own evidence.
 
     In front; behind but not touched; behind and partly hidden; and the last times the share.
     """
-    from bayesnet_track.numerics.kernels.speaking_kernels import ask, speak
+    from bayesnet_track.numerics.kernels.speaking_kernels import ask_partners, speak
 
     messages = np.zeros((4, batch.columns))
     if not batch.pairs:
@@ -307,7 +313,7 @@ def pass_messages(crowd: Crowd, members: Mapping[str, Member], batch: PairBatch,
             speak(np.array([*some]), *context, rules, messages)
             continue
         for k in some:
-            partners, log_importance, free, blocked = ask(k, *context, messages)
+            partners, log_importance, free, blocked = ask_partners(k, *context, messages)
             (speaker, hearer), factor = batch.pairs[k], batch.edges[k].factor
             assert factor is not None
             rows = slice(crowd.starts[batch.ends[0][k]], crowd.starts[batch.ends[0][k] + 1])
@@ -324,7 +330,7 @@ def ragged(lists: Sequence[Sequence[int]]) -> tuple[Ints, Ints]:
     return starts, np.array([number for numbers in lists for number in numbers], dtype=np.int64)
 
 
-def _draw(crowd: Crowd, batch: PairBatch, keys: Keys) -> tuple[Floats, Ints, Ints, Ints]:
+def _draw(crowd: JointHypotheses, batch: PairBatch, keys: Keys) -> tuple[Floats, Ints, Ints, Ints]:
     """Random numbers of all partners: shifts, turns, where those of a pair begin, how many each has.
 
     In each round of a pair every hypothesis of the hearer has one partner from every stratum of as many:
@@ -393,7 +399,7 @@ def joint_marginals(
     parents = _root_tree(_near(members, edges))
     if not members:
         return {}, {}
-    crowd = Crowd.of(members)
+    crowd = JointHypotheses.of(members)
     batch = PairBatch.along(crowd, edges, closing, parents)
     messages = pass_messages(crowd, members, batch, keys)
     incoming = [batch.heard[name] for name in members]

@@ -74,7 +74,7 @@ def watch(references: Mapping[str, Reference], looks: Set[str], rule: Guard | No
 
 
 @dataclass(frozen=True, eq=False)
-class DriftCheck:
+class GuardVerdict:
     """Verdict of the guard in one frame.
 
     Attributes:
@@ -88,9 +88,9 @@ class DriftCheck:
     faults: Mapping[str, str] = field(default_factory=dict)
 
 
-def judge_nothing(watched: SlowReferences) -> DriftCheck:
+def judge_nothing(watched: SlowReferences) -> GuardVerdict:
     """Verdict of the guard in a frame in which nothing is compared."""
-    return DriftCheck(held=frozenset(watched.parted))
+    return GuardVerdict(held=frozenset(watched.parted))
 
 
 def judge(
@@ -99,7 +99,7 @@ def judge(
     references: Mapping[str, Reference],
     rates: Mapping[str, float],
     rule: Guard | None,
-) -> DriftCheck:
+) -> GuardVerdict:
     """In every `rule.every`-th learning frame, compare what both references of an agent say of the estimate.
 
     They have parted where the slow one gives it a likelihood lower by more than `rule.apart_nats`; that holds
@@ -131,13 +131,13 @@ def judge(
             faults[agent] = f"raised {type(error).__name__} while guarded: {text_of(error)}"
     parted = {agent for agent, (fit, slow) in gaps.items() if fit - slow > rule.apart_nats}
     unchecked = {agent for agent in watched.parted if agent not in gaps}
-    return DriftCheck(gaps, frozenset(parted | unchecked), faults)
+    return GuardVerdict(gaps, frozenset(parted | unchecked), faults)
 
 
 def guard(
     lesson: LearningInputs,
     watched: SlowReferences,
-    judged: DriftCheck,
+    judged: GuardVerdict,
     references: Mapping[str, Reference],
     rates: Mapping[str, float],
     rule: Guard | None,
@@ -175,7 +175,7 @@ def changes(
     target: str,
     previous: SlowReferences,
     current: SlowReferences,
-    judged: DriftCheck,
+    judged: GuardVerdict,
     rule: Guard | None,
 ) -> list[Event]:
     """The references that parted in this frame, and those that agree again."""

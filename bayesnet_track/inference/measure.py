@@ -21,8 +21,8 @@ from bayesnet_track.inference.messages import join_plain, without
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import weighted_mass_in_disc
-from bayesnet_track.numerics.log_weights import divergences, select, tilt, uncertainty_deviation
-from bayesnet_track.numerics.records import Found
+from bayesnet_track.numerics.log_weights import column_index, divergences, tilt, uncertainty_deviation
+from bayesnet_track.numerics.records import LazyRecords
 from bayesnet_track.observation.cue import Hypotheses
 
 Rest = tuple[Sequence[Sequence[float]], Sequence[Sequence[float]], Sequence[Sequence[float]]]
@@ -134,7 +134,7 @@ def _measures_of(
     """All that is measured of one target."""
     uds, areas, fits, agents, nats = columns
     kl, strength, agent_uds = (
-        Found(agents, partial(_of_agents, agents, find_rest, row, part)) for part in range(3)
+        LazyRecords(agents, partial(_of_agents, agents, find_rest, row, part)) for part in range(3)
     )
     return Measures(
         ud_px2={root: float(uds[root][row])},
@@ -174,7 +174,7 @@ def _ud_fields(target: CheckedTarget) -> Sequence[str]:
 
 
 def _columns(target: CheckedTarget) -> slice | list[int]:
-    return select([BOX_FIELDS.index(name) for name in _ud_fields(target)])
+    return column_index([BOX_FIELDS.index(name) for name in _ud_fields(target)])
 
 
 def _without_each(plan: Plan, steps: StepArrays) -> Floats:
@@ -326,7 +326,7 @@ def _rows(arrays: Iterable[Floats], size: int) -> Floats:
     return np.array(list(arrays), dtype=np.float64).reshape(-1, size)
 
 
-def columns_of(target: CheckedTarget, node: str) -> tuple[int, ...]:
+def state_columns(target: CheckedTarget, node: str) -> tuple[int, ...]:
     """The columns of a state over which UD of a node is taken."""
     return _indices(tuple(target.inference(node).ud_fields))
 
@@ -337,7 +337,7 @@ def _indices(fields: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def _ud(target: CheckedTarget, node: str, boxes: Floats, log: Floats, centre: Floats) -> float:
-    columns = select(columns_of(target, node))
+    columns = column_index(state_columns(target, node))
     return uncertainty_deviation(boxes[:, columns], np.exp(log), centre[columns])
 
 
@@ -348,13 +348,13 @@ def _node_uds(
     parts: Mapping[str, PartBelief],
 ) -> dict[str, float]:
     """UD of every inference node, the root's first."""
-    uds = {target.root: step.posterior.uncertainty(step.map_state, columns_of(target, target.root))}
+    uds = {target.root: step.posterior.uncertainty(step.map_state, state_columns(target, target.root))}
     for node in target.order:
         parent = target.parent[node]
         if parent is None or node not in target.children:
             continue
         if node in parts:
-            uds[node] = parts[node].uncertainty(columns_of(target, node))
+            uds[node] = parts[node].uncertainty(state_columns(target, node))
         elif node in beliefs:
             latent = step.evidence.latent.get(node)
             boxes = step.support.boxes if latent is None else latent.boxes
@@ -379,9 +379,9 @@ def _inherit(
     ):
         ancestor = target.parent[ancestor]
     if ancestor is not None and ancestor in parts:
-        return parts[ancestor].uncertainty(columns_of(target, node))
+        return parts[ancestor].uncertainty(state_columns(target, node))
     if ancestor is None or ancestor == target.root:
-        return step.posterior.uncertainty(step.map_state, columns_of(target, node))
+        return step.posterior.uncertainty(step.map_state, state_columns(target, node))
     latent = step.evidence.latent.get(ancestor)
     boxes = step.support.boxes if latent is None else latent.boxes
     return _ud(target, node, boxes, beliefs[ancestor], boxes[int(np.argmax(beliefs[ancestor]))])

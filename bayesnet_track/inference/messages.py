@@ -22,7 +22,7 @@ from bayesnet_track.inference.factors import (
     linear_factors,
     log_given,
     read_as,
-    weigh,
+    weigh_factor,
 )
 from bayesnet_track.inference.gaussian_messages import (
     grid_message,
@@ -40,7 +40,7 @@ from bayesnet_track.observation.cue import AssociatingCue, Hypotheses, Measureme
 from bayesnet_track.observation.planes import Region, region_of_boxes
 from bayesnet_track.observation.protocols import BOX
 
-__all__ = ["Joined", "Observer", "evaluate", "join_messages", "join_plain", "without"]
+__all__ = ["JoinedMessages", "Observer", "evaluate", "join_messages", "join_plain", "without"]
 
 
 Integral = Callable[[Noise, Hypotheses, Hypotheses, Floats, Floats], Floats]
@@ -134,7 +134,7 @@ def _weigh_factors(
     logs: dict[str, Floats] = {}
     for factor in plan.factors:
         parents = hypotheses if factor.given_from == factor.at else clouds[factor.given_from]
-        log = weigh(factor, clouds[factor.at], parents, observer.cache.frames, observer.factors)
+        log = weigh_factor(factor, clouds[factor.at], parents, observer.cache.frames, observer.factors)
         if log is not None:
             logs[factor.factor] = log
     return logs
@@ -189,7 +189,7 @@ def _at_prediction(
 
 
 @dataclass(frozen=True, eq=False)
-class Joined:
+class JoinedMessages:
     """Messages of all nodes.
 
     Attributes:
@@ -210,14 +210,14 @@ def join_messages(
     latent: Mapping[str, Hypotheses],
     hypotheses: Hypotheses,
     prior_log: Floats,
-) -> Joined:
+) -> JoinedMessages:
     """Every inference node's message from what agents and factors `sent` and agents measured, children first.
 
     Missing children, and agents that measured nothing, are left out, a pool's weights scaled to sum to 1 over
     those present.
     """
     if not measured and not latent:
-        return Joined(join_plain(plan, sent, (len(hypotheses),)), {}, None)
+        return JoinedMessages(join_plain(plan, sent, (len(hypotheses),)), {}, None)
     messages = dict(sent)
     gaussians = {agent: measurement for agent, measurement in measured.items() if measurement is not None}
     # What of a source's message is not in its Gaussian: all, nothing, or what a latent node's is scaled by.
@@ -264,7 +264,7 @@ def join_messages(
         for source, measurement in gaussians.items()
         if source in at_root
     }
-    return Joined(messages, reaching, _rest(at_root, rests, len(hypotheses)) if reaching else None)
+    return JoinedMessages(messages, reaching, _rest(at_root, rests, len(hypotheses)) if reaching else None)
 
 
 def _fused(

@@ -20,7 +20,7 @@ from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES, FRAME_S, Term, names_in
 from bayesnet_track.graph.settings.queries import Query
 from bayesnet_track.inference.crossings import Trail
-from bayesnet_track.journal.metrics import Answer
+from bayesnet_track.journal.metrics import QueryAnswer
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 
 MOST_PAIRINGS = 1 << 16
@@ -111,7 +111,7 @@ def probabilities(compiled: CompiledQuery, group: BeliefGroup, frame: Mapping[st
     return np.asarray(np.clip(np.sum(holds * weights, axis=1), 0.0, 1.0))
 
 
-def numbers(compiled: CompiledQuery, group: BeliefGroup, frame: Mapping[str, float]) -> Floats:
+def query_numbers(compiled: CompiledQuery, group: BeliefGroup, frame: Mapping[str, float]) -> Floats:
     """(4, T) mean, sd, lower and upper bound of the number; NaN where no hypothesis has a value.
 
     Hypotheses without a value (0 / 0, the root of a negative number, an infinite one) are left out.
@@ -182,12 +182,12 @@ def inside_polygon(corners: Floats, x: Floats, y: Floats) -> Bools:
     return is_inside
 
 
-def count_of(compiled: CompiledQuery, distribution: Floats) -> Answer:
+def count_of(compiled: CompiledQuery, distribution: Floats) -> QueryAnswer:
     """The number that a distribution (n,) over 0, 1, 2, ... is of."""
     low, high = (count_quantile(distribution, share) for share in compiled.shares)
     numbers = np.arange(len(distribution))
     mean = float(distribution @ numbers)
-    return Answer(mean, math.sqrt(float(distribution @ (numbers - mean) ** 2)), low, high)
+    return QueryAnswer(mean, math.sqrt(float(distribution @ (numbers - mean) ** 2)), low, high)
 
 
 def normal_between(low: Floats, high: Floats) -> Floats:
@@ -263,6 +263,21 @@ class PairGroup:
     first: BeliefGroup
     second: BeliefGroup
 
+    @classmethod
+    def from_groups(cls, first: BeliefGroup, second: BeliefGroup) -> BeliefGroup:
+        """Two targets as one group; two Gaussians are a Gaussian."""
+        if isinstance(first, GaussianGroup) and isinstance(second, GaussianGroup):
+            fields = [*(f"a.{name}" for name in first.fields), *(f"b.{name}" for name in second.fields)]
+            size, width = len(fields), len(first.fields)
+            covariance = np.zeros((1, size, size))
+            covariance[:, :width, :width], covariance[:, width:, width:] = (
+                first.covariances,
+                second.covariances,
+            )
+            means = np.concatenate([first.means, second.means], axis=1)
+            return GaussianGroup([f"{first.ids[0]} {second.ids[0]}"], fields, means, covariance)
+        return cls(first, second)
+
     @property
     def ids(self) -> Sequence[str]:
         """Both targets, as one name."""
@@ -315,15 +330,3 @@ class PairGroup:
 def _pick(weights: Floats, points: Floats) -> Ints:
     cumulative = weights.cumsum()
     return np.asarray(np.minimum(cumulative.searchsorted(points * cumulative[-1]), len(weights) - 1))
-
-
-def pair_up(first: BeliefGroup, second: BeliefGroup) -> BeliefGroup:
-    """Two targets as one group; two Gaussians are a Gaussian."""
-    if isinstance(first, GaussianGroup) and isinstance(second, GaussianGroup):
-        fields = [*(f"a.{name}" for name in first.fields), *(f"b.{name}" for name in second.fields)]
-        size, width = len(fields), len(first.fields)
-        covariance = np.zeros((1, size, size))
-        covariance[:, :width, :width], covariance[:, width:, width:] = first.covariances, second.covariances
-        means = np.concatenate([first.means, second.means], axis=1)
-        return GaussianGroup([f"{first.ids[0]} {second.ids[0]}"], fields, means, covariance)
-    return PairGroup(first, second)

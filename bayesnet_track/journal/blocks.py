@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.journal.encoder import JournalError
 from bayesnet_track.journal.frame_columns import ABSENT, REGIONS, all_columns, is_absent, region_of
-from bayesnet_track.journal.frame_file import FrameFile, Place, structured
+from bayesnet_track.journal.frame_file import FrameFile, RecordPlace, structured
 from bayesnet_track.journal.metrics import NOT_SHOWN, FrameMetrics
 from bayesnet_track.journal.reader import MOST, Measurements
 from bayesnet_track.numerics.arrays import Floats
@@ -183,7 +183,7 @@ class Blocks:
             selected["time_s"] = np.array([line.time_s for line in lines], dtype=np.float64)
         return Block(np.array([line.frame for line in lines], dtype=np.int64), selected)
 
-    def _of_places(self, file: FrameFile, places: Sequence[Place]) -> Block:
+    def _of_places(self, file: FrameFile, places: Sequence[RecordPlace]) -> Block:
         """Records with the same header stand below each other in one array, and are taken apart together."""
         frames = np.array([place.frame for place in places], dtype=np.int64)
         if len(frames) and not 0 <= frames.min() <= frames.max() <= MOST:

@@ -13,9 +13,9 @@ from bayesnet_track.journal.compare_measures import (
     COLUMNS,
     Apart,
     Distances,
-    Evidence,
     Figures,
     Predictive,
+    RunEvidence,
     Total,
     pair_targets,
     target_ids,
@@ -201,7 +201,7 @@ def compare(first: RunRecord, second: RunRecord) -> Comparison:
     decisions = [[event for event in of_run if isinstance(event, Decision)] for of_run in events]
     agreed, moments = find_moments(decisions[0], decisions[1], pairs)
     separation, figures = Apart(pairs, sides), [Figures(side) for side in sides]
-    evidence, predictive = Evidence(), Predictive()
+    evidence, predictive = RunEvidence(), Predictive()
     for span in spans(sides, end):
         blocks = [side.read(*span) for side in sides]
         for of_run, block in zip(figures, blocks, strict=True):

@@ -198,7 +198,7 @@ def _distances(a: Floats, b: Floats) -> tuple[Floats, Floats]:
     return np.hypot(a[0] - b[0], a[1] - b[1]), np.where((a == b).all(axis=0), 1.0, iou)
 
 
-class Evidence:
+class RunEvidence:
     """Log-evidence of both runs, over the frames of their pairs in which the same agents gave evidence.
 
     It compares models of one and the same evidence: the graphs must have the same agents. The name of the

@@ -49,7 +49,7 @@ _NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RecordPlace:
     """Place of a frame's record in the file.
 
     Attributes:
@@ -118,7 +118,7 @@ class FrameFile:
     def __len__(self) -> int:
         return len(self.places)
 
-    def columns(self, places: Sequence[Place] | None = None) -> Iterator[Columns]:
+    def columns(self, places: Sequence[RecordPlace] | None = None) -> Iterator[Columns]:
         """The columns of some frames, or of all, in order."""
         with self.path.open("rb") as file:
             for place in self.places if places is None else places:
@@ -128,7 +128,7 @@ class FrameFile:
                 except (ValueError, zlib.error) as error:
                     raise self.damaged(place, error) from error
 
-    def contents(self, places: Sequence[Place]) -> Iterator[tuple[Place, bytes, bytes]]:
+    def contents(self, places: Sequence[RecordPlace]) -> Iterator[tuple[RecordPlace, bytes, bytes]]:
         """Place, header and numbers of some frames, in order, for `structured`."""
         with self.path.open("rb", buffering=1 << 18) as file:
             for place in places:
@@ -141,7 +141,7 @@ class FrameFile:
                     raise self.damaged(place, error) from error
 
     def lines(
-        self, places: Sequence[Place] | None = None, target: str | None = None
+        self, places: Sequence[RecordPlace] | None = None, target: str | None = None
     ) -> Iterator[FrameMetrics]:
         """The lines of some frames, or of all, in order; with `target` of that one alone."""
         wanted_places = self.places if places is None else places
@@ -153,7 +153,7 @@ class FrameFile:
                 raise self.damaged(place, error) from error
             yield from lines
 
-    def damaged(self, place: Place, error: Exception) -> JournalError:
+    def damaged(self, place: RecordPlace, error: Exception) -> JournalError:
         """The error that names the place of a damaged record."""
         return JournalError(f"{self.path}: frame {place.frame} (byte {place.start}) is damaged: {error}")
 
@@ -213,7 +213,7 @@ def _content(data: bytes) -> bytes:
     return content
 
 
-def _places(file: FileIO, path: Path, notice: Notice | None) -> Iterator[Place]:
+def _places(file: FileIO, path: Path, notice: Notice | None) -> Iterator[RecordPlace]:
     start, end = 0, os.fstat(file.fileno()).st_size
     while start < end:
         file.seek(start)
@@ -228,7 +228,7 @@ def _places(file: FileIO, path: Path, notice: Notice | None) -> Iterator[Place]:
             if notice is not None:
                 notice(f"{path}: the last frame is torn ({end - start} bytes) and was dropped")
             return
-        yield Place(frame, targets, start, size)
+        yield RecordPlace(frame, targets, start, size)
         start += size
 
 

@@ -262,7 +262,7 @@ COUNT = "_count"
 
 
 @dataclass(frozen=True, repr=False)
-class Answer:
+class QueryAnswer:
     """One answer: a probability, or a number with its sd and interval.
 
     Attributes:
@@ -298,7 +298,7 @@ class Answer:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Answers(Mapping[str | Subject, Answer]):
+class Answers(Mapping[str | Subject, QueryAnswer]):
     """Answers to one query in one frame, by target id, or by a pair of ids.
 
     Attributes:
@@ -314,20 +314,20 @@ class Answers(Mapping[str | Subject, Answer]):
     kind: str
     subjects: Sequence[Subject]
     columns: NDArray[np.float64]
-    total: Answer | None = None
+    total: QueryAnswer | None = None
     unit: str = ""
 
     @cached_property
     def _index(self) -> Mapping[Subject, int]:
         return {subject: place for place, subject in enumerate(self.subjects)}
 
-    def __getitem__(self, subject: str | Subject) -> Answer:
+    def __getitem__(self, subject: str | Subject) -> QueryAnswer:
         place = self._index[(subject,) if isinstance(subject, str) else tuple(subject)]
         numbers: list[float] = self.columns[:, place].tolist()
         if len(numbers) == 1:
-            return Answer(numbers[0])
+            return QueryAnswer(numbers[0])
         mean, sd, low, high = numbers
-        return Answer(mean, sd, low, high, self.unit)
+        return QueryAnswer(mean, sd, low, high, self.unit)
 
     def __iter__(self) -> Iterator[str | Subject]:
         return (subject[0] if len(subject) == 1 else subject for subject in self.subjects)

@@ -15,7 +15,7 @@ from typing import Any, overload
 from bayesnet_track.journal.codec import event_name, from_json
 from bayesnet_track.journal.encoder import JournalError, short
 from bayesnet_track.journal.events.event import Event, Input
-from bayesnet_track.journal.frame_file import FrameFile, Place
+from bayesnet_track.journal.frame_file import FrameFile, RecordPlace
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 
 
@@ -76,7 +76,7 @@ def read_metrics(
 
 
 def _checked(
-    file: FrameFile, places: Sequence[Place] | None, target: str | None = None
+    file: FrameFile, places: Sequence[RecordPlace] | None, target: str | None = None
 ) -> Iterator[FrameMetrics]:
     for line in file.lines(places, target):
         try:

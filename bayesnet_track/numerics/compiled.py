@@ -213,7 +213,7 @@ class SealedFiles(IndexDataCacheFile):  # type: ignore[misc,unused-ignore]
 
     def _dump(self, obj: Any) -> bytes:
         data: bytes = super()._dump(obj)
-        return data + seal(data)
+        return data + _seal(data)
 
     def _load_index(self) -> Any:
         path, version = Path(self._index_path), pickle.dumps(self._version, protocol=-1)
@@ -239,7 +239,7 @@ class SealedFiles(IndexDataCacheFile):  # type: ignore[misc,unused-ignore]
         return pickle.loads(content)
 
 
-def seal(data: bytes) -> bytes:
+def _seal(data: bytes) -> bytes:
     """Seal that follows `data` in a file."""
     return MARK + sha256(data).digest()
 
@@ -247,11 +247,11 @@ def seal(data: bytes) -> bytes:
 def unsealed(data: bytes) -> bytes | None:
     """Content before the seal; None if it is not what was sealed.
 
-    >>> unsealed(b"code" + seal(b"code")), unsealed(b"c0de" + seal(b"code")), unsealed(b"code")
+    >>> unsealed(b"code" + _seal(b"code")), unsealed(b"c0de" + _seal(b"code")), unsealed(b"code")
     (b'code', None, None)
     """
     content = data[:-SEAL_BYTES]
-    return content if data[-SEAL_BYTES:] == seal(content) else None
+    return content if data[-SEAL_BYTES:] == _seal(content) else None
 
 
 def is_whole(path: Path) -> bool:

@@ -322,12 +322,12 @@ def spread_of(reference: Mapping[str, Array], count: int) -> Floats:
     return np.asarray(reference.get(SPREAD, np.ones(count)), dtype=np.float64)
 
 
-def start(count: int, frames: float | None) -> dict[str, Array]:
+def start_spread(count: int, frames: float | None) -> dict[str, Array]:
     """`SPREAD` alone, of a target of which nothing is known yet; nothing where sds do not follow."""
     return {} if frames is None else {SPREAD: np.ones(count)}
 
 
-def follow(
+def follow_spread(
     reference: Mapping[str, Array], errors: Sequence[Floats], sds: Sequence[float], frames: float | None
 ) -> dict[str, Array]:
     """`SPREAD` alone, moved toward what the errors (n,) of each standard deviation say, over so many frames.
@@ -335,7 +335,7 @@ def follow(
     Each factor is the mean absolute error of the last frames over that of a Gaussian with the standard
     deviation. One without errors in this frame stays. Nothing where sds do not follow (`frames` is None).
 
-    >>> follow({}, [np.array([-4.0, 4.0]), np.empty(0)], [1.0, 1.0], 5.0)["spread"].round(3).tolist()
+    >>> follow_spread({}, [np.array([-4.0, 4.0]), np.empty(0)], [1.0, 1.0], 5.0)["spread"].round(3).tolist()
     [1.727, 1.0]
     """
     if frames is None:

@@ -34,7 +34,7 @@ def factor(matrix: Floats, lower: Floats, size: int) -> float:
 
 
 @compiled
-def root_of(covariance: Floats, lower: Floats, remainder: Floats, scale: Floats, least_share: float) -> int:
+def fill_root(covariance: Floats, lower: Floats, remainder: Floats, scale: Floats, least_share: float) -> int:
     """Fill `lower` (D, K) as `numerics.gaussian.root` does; K."""
     size = covariance.shape[0]
     along = np.empty(size)  # a column of `lower`, its values one apart in memory

@@ -62,7 +62,7 @@ def derivatives(function: Function, states: Floats) -> Floats:
     return np.asarray(np.moveaxis(slopes, 0, 2))
 
 
-def follow(
+def follow_line(
     function: Function, less: Less, place: Floats, values: Floats, way: Floats, variances: Floats
 ) -> Floats:
     """(N, D) states at which a function has the `values` (K,) plus the way (N, K); NaN where none is found.

@@ -128,7 +128,7 @@ def kl(log_f: Floats, log_g: Floats) -> float:
     return max(0.0, float(np.dot(np.exp(f), f - g)))
 
 
-def select(columns: Sequence[int]) -> slice | list[int]:
+def column_index(columns: Sequence[int]) -> slice | list[int]:
     """Index of these columns: a slice, which copies nothing, where they stand side by side."""
     side_by_side = _slice_of(tuple(columns))
     return list(columns) if side_by_side is None else side_by_side

@@ -38,10 +38,10 @@ def evolve(record: Record, **fields: Any) -> Record:
     return evolved
 
 
-class Found(Mapping[str, Value]):
+class LazyRecords(Mapping[str, Value]):
     """Name -> a value, found for all of `names` by `find` when the first is asked for.
 
-    >>> lengths = Found(["a", "bc"], lambda: {name: len(name) for name in ("a", "bc")})
+    >>> lengths = LazyRecords(["a", "bc"], lambda: {name: len(name) for name in ("a", "bc")})
     >>> list(lengths), lengths["bc"], lengths == {"a": 1, "bc": 2}
     (['a', 'bc'], 2, True)
     """

@@ -2,7 +2,7 @@
 
 To load a file is to run its code, so that it is done only where a user names it. The module that it becomes
 has a name made of its SHA-256: what worker processes are sent refers to it by that name, and they load the
-same bytes (`pack`, `unpack`), whatever stands in the file by then.
+same bytes (`pack_cue_files`, `unpack_cue_files`), whatever stands in the file by then.
 """
 
 from __future__ import annotations
@@ -115,13 +115,13 @@ def file_of(declaration: CueDeclaration) -> CueFile | None:
     return next((file for file in _loaded.values() if file.declaration is declaration), None)
 
 
-def pack() -> bytes:
+def pack_cue_files() -> bytes:
     """All cue files of this process, for one that works for it; no bytes where there are none."""
     files = [(file.path, file.content) for file in _loaded.values()]
     return pickle.dumps(files) if files else b""
 
 
-def unpack(files: bytes) -> None:
+def unpack_cue_files(files: bytes) -> None:
     """Load the cue files that were packed."""
     for path, content in pickle.loads(files) if files else ():
         _loaded_from(path, content)

@@ -132,9 +132,9 @@ def crops_of(planes: Sequence[Planes], plane: Plane) -> tuple[Array, Ints, Ints]
 def share_inside(boxes: Floats, frame: Frame) -> Floats:
     """(N,) share of the area of each centre box (N, 4) that lies inside the frame, 0..1."""
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.box_kernels import shares_inside
+    from bayesnet_track.numerics.kernels.box_kernels import box_shares_inside
 
-    return shares_inside(plain(boxes), float(frame.width), float(frame.height))
+    return box_shares_inside(plain(boxes), float(frame.width), float(frame.height))
 
 
 def box_integral(planes: Planes, plane: Plane, boxes: Floats) -> tuple[Floats, Floats, Ints, Ints]:

@@ -18,8 +18,8 @@ from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
-from bayesnet_track.graph.checks.queries import read_inputs
-from bayesnet_track.journal.writer import LineFile, write_atomically, writing
+from bayesnet_track.graph.checks.queries import input_columns
+from bayesnet_track.journal.writer import write_atomically, writing
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.observation.detector import GIVEN, Detections, GivenParameters
 from bayesnet_track.observation.settings import setting
@@ -40,10 +40,10 @@ MOST_MS = 1e7
 """`budget_ms` is below it."""
 
 
-def whole(name: str, value: SupportsIndex, minimum: int) -> int:
+def whole_argument(name: str, value: SupportsIndex, minimum: int) -> int:
     """A whole number from `minimum` on, of any integer type.
 
-    >>> whole("stride", 3, 1)
+    >>> whole_argument("stride", 3, 1)
     3
 
     Raises:
@@ -60,7 +60,7 @@ def whole(name: str, value: SupportsIndex, minimum: int) -> int:
 
 def longest_side(value: SupportsIndex | None) -> int | None:
     """`max_side`; raises ValueError where it is no number of pixels that can be tracked in."""
-    return None if value is None else whole("max_side", value, LEAST_MAX_SIDE)
+    return None if value is None else whole_argument("max_side", value, LEAST_MAX_SIDE)
 
 
 def milliseconds(value: float | None) -> float | None:
@@ -86,14 +86,14 @@ def check_video(value: bool | Literal["mkv", "mp4"], side: SupportsIndex | None 
         return None
     if value is False:
         raise ValueError(f"video_side={side!r}: no video is written; say which: video='mkv' or 'mp4'")
-    return whole("video_side", side, LEAST_SIDE)
+    return whole_argument("video_side", side, LEAST_SIDE)
 
 
 def say_unused_by_cues(graph: CheckedGraph, source: FrameSource | None = None) -> None:
     """A notice for each thing that the agents' files hold and a run through `source` does not use."""
     frames = frames_of(source)
     seconds = float(getattr(source, "frame_interval_s", math.nan))
-    for entry in read_inputs(graph.spec).values():
+    for entry in input_columns(graph.spec).values():
         for text in entry.columns.gaps(frames, seconds):
             notice(text)
     for text in dict.fromkeys(_unused_by_cues(graph, frames)):
@@ -309,18 +309,6 @@ def held_files(directory: RunDirectory, truth: str | None) -> dict[str, bytes]:
             if path.exists():
                 contents[key] = path.read_bytes()
     return contents
-
-
-def begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
-    """Write down what is asked for, before anything is done; the recipe comes last: with it all is there.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    # What holds a journal counts as a run, which may be overwritten.
-    LineFile(directory.journal).close()
-    for key, data in files.items():
-        write_atomically(directory.path / FILES[key], data)
 
 
 def make_checkpointer(

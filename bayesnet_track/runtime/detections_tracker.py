@@ -24,7 +24,7 @@ from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.observation.cue import OWN_DETECTION
 from bayesnet_track.observation.detector import GIVEN, Scan
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.runtime.arguments import say_unused_by_cues, whole
+from bayesnet_track.runtime.arguments import say_unused_by_cues, whole_argument
 from bayesnet_track.runtime.frame_clock import (
     Fed,
     FrameClock,
@@ -33,7 +33,7 @@ from bayesnet_track.runtime.frame_clock import (
     refuse_unknown,
     rehearse_detections,
 )
-from bayesnet_track.runtime.given_scans import read_given, read_scans, sensors_of
+from bayesnet_track.runtime.given_scans import read_given, read_scans, sensor_columns
 from bayesnet_track.runtime.lag import Arrival, LagWindow, SettledStep
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
@@ -89,7 +89,7 @@ class DetectionsTracker(Storable):
         value_range: ValueRange | None = None,
         lag_s: float = 0.0,
     ) -> None:
-        self._graph, self._seed = load_graph(graph), whole("seed", seed, 0)
+        self._graph, self._seed = load_graph(graph), whole_argument("seed", seed, 0)
         say_unused_by_cues(self._graph)
         self._sizes = _checked_sizes(size)
         self._clock = FrameClock.of_rate(fps)
@@ -129,7 +129,7 @@ class DetectionsTracker(Storable):
         DetectionsTracker.__init__(self, graph, **options)
 
     def _renew_engine(self) -> None:
-        self._sensors = sensors_of(self._graph)
+        self._sensors = sensor_columns(self._graph)
         self._fed, self._cameras = Fed(), CamerasFed.of(self._graph, self._sizes)
         if isinstance(self._sizes, dict) and self._cameras is None:
             raise ValueError(
@@ -378,4 +378,4 @@ def _checked(size: tuple[int, int]) -> tuple[int, int]:
         width, height = size
     except (TypeError, ValueError):
         raise ValueError(f"size={size!r}: width and height of the frames in px are needed") from None
-    return whole("size: width", width, 1), whole("size: height", height, 1)
+    return whole_argument("size: width", width, 1), whole_argument("size: height", height, 1)

@@ -32,7 +32,7 @@ LENGTHS = frozenset({"hypot", "sqrt", "abs"})
 """Functions whose values are never negative."""
 
 
-def sensors_of(graph: CheckedGraph) -> dict[str, SensorColumns]:
+def sensor_columns(graph: CheckedGraph) -> dict[str, SensorColumns]:
     """The agents of a graph that are given detections of quantities, and what these are."""
     return {agent: _columns(plate, agent) for plate in graph.targets.values() for agent in plate.inverses}
 
@@ -64,7 +64,7 @@ def given_detector(graph: CheckedGraph, path: str | Path) -> FileDetector | Scan
         OSError: the file cannot be read.
         ValueError: it does not fit; says file, line and column.
     """
-    sensors = sensors_of(graph)
+    sensors = sensor_columns(graph)
     if not sensors:
         return file_detector(path)
     boxes = [
@@ -93,15 +93,22 @@ def source_or_times(
             "no source: a video, a folder of images; without one, a file of detections, whose times then "
             "stand for frames"
         )
-    suffixes = {SUFFIX} if sensors_of(graph) else DETECTION_SUFFIXES
+    suffixes = {SUFFIX} if sensor_columns(graph) else DETECTION_SUFFIXES
     if Path(detections).suffix.lower() not in suffixes:
-        contents = f"frame or time_s and {', '.join(_quantities(graph))}" if sensors_of(graph) else "boxes"
+        contents = (
+            f"frame or time_s and {', '.join(_quantities(graph))}" if sensor_columns(graph) else "boxes"
+        )
         raise ValueError(
             f"{detections}: the file whose times stand for frames is named "
             f"*{' or *'.join(sorted(suffixes))}, with {contents}"
         )
     is_csv = Path(detections).suffix.lower() == SUFFIX
-    if is_csv and not sensors_of(graph) and Path(detections).is_file() and not names_boxes(Path(detections)):
+    if (
+        is_csv
+        and not sensor_columns(graph)
+        and Path(detections).is_file()
+        and not names_boxes(Path(detections))
+    ):
         raise ValueError(
             f"{detections}: the file whose times stand for frames has columns of boxes, such as "
             "frame,id,left,top,width,height in its header line, or is named *.txt"
@@ -111,7 +118,9 @@ def source_or_times(
 
 def _quantities(graph: CheckedGraph) -> list[str]:
     """The quantities of all sensors of a graph, each once."""
-    return list(dict.fromkeys(name for sensor in sensors_of(graph).values() for name in sensor.quantities))
+    return list(
+        dict.fromkeys(name for sensor in sensor_columns(graph).values() for name in sensor.quantities)
+    )
 
 
 def check_scans(

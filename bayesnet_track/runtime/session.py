@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial, wraps
 from os import PathLike
@@ -15,12 +15,12 @@ from bayesnet_track.engine.starts import Start, StartError, check_depth, check_g
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
+from bayesnet_track.journal.writer import LineFile, write_atomically
 from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.runtime.arguments import (
     GivenFrames,
-    begin,
     check_video,
     frames_of,
     longest_side,
@@ -31,7 +31,7 @@ from bayesnet_track.runtime.arguments import (
     resizing_of,
     say_unused_by_cues,
     small_files,
-    whole,
+    whole_argument,
 )
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.checkpoints.origins import file_sha256, model_files, steady
@@ -40,9 +40,9 @@ from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.given_scans import check_scans, given_detector, source_or_times
 from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.recording.beliefs import check_kept
-from bayesnet_track.runtime.recording.manifest import finish, lock_run, replace_run, settle
+from bayesnet_track.runtime.recording.manifest import finish_run, lock_run, replace_run, settle
 from bayesnet_track.runtime.recording.record import Forecaster, Recorder
-from bayesnet_track.runtime.recording.rundir import RunDirectory
+from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.results import (
     FrameSource,
     InputsAt,
@@ -182,9 +182,9 @@ def track(
             one = result.targets[0]
             print(result.frame.index, one.xywh, one.status, one.active)
     """
-    seed, stride = whole("seed", seed, 0), whole("stride", stride, 1)
+    seed, stride = whole_argument("seed", seed, 0), whole_argument("stride", stride, 1)
     horizon, max_side, budget_ms = (
-        whole("horizon", horizon, 0),
+        whole_argument("horizon", horizon, 0),
         longest_side(max_side),
         milliseconds(budget_ms),
     )
@@ -300,7 +300,7 @@ def track(
                 take_place = partial(replace_run, directory, files)
             else:
                 directory.clear()
-                begin(directory, files)
+                _begin(directory, files)
             recorder = Recorder(
                 directory, checked, interval_of(opened), recipe.optional, before_first=take_place
             )
@@ -334,7 +334,7 @@ def track(
             for read_frames in given_frames:
                 read_frames.say_at_end(last_index)
         if recorder is not None and totals.frames:
-            finish(directory, recorder.finish(), files)
+            finish_run(directory, recorder.finish(), files)
 
 
 def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:
@@ -346,3 +346,15 @@ def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:
     if len(starts) < len(box):
         raise StartError(f"start {box!r}: one box x, y, w, h, or one Start per target, not both")
     return starts
+
+
+def _begin(directory: RunDirectory, files: Mapping[str, bytes]) -> None:
+    """Write down what is asked for, before anything is done; the recipe comes last: with it all is there.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    # What holds a journal counts as a run, which may be overwritten.
+    LineFile(directory.journal).close()
+    for key, data in files.items():
+        write_atomically(directory.path / FILES[key], data)

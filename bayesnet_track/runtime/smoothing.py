@@ -25,7 +25,7 @@ from bayesnet_track.engine.queries import AskedTargets, answer
 from bayesnet_track.engine.scoring.score import blur_regions
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checks.plates import names_of_inputs, numbers_of_kinds
-from bayesnet_track.graph.checks.queries import read_inputs
+from bayesnet_track.graph.checks.queries import input_columns
 from bayesnet_track.inference.queries import compile_query
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.lives import CandidateConfirmed, Reacquired, Returned, TargetStarted
@@ -363,7 +363,7 @@ def moves_of(run: Run, lifetime: Sequence[KeptBelief]) -> list[Move]:
     assert root.motion is not None
     plain = make_plate_motion(root, run.spec.constants, deviations_of(plate.nodes))
     size = Resizing.of(run.started).tracked
-    inputs, second = read_inputs(run.spec), run.started.frame_interval_s
+    inputs, second = input_columns(run.spec), run.started.frame_interval_s
     moves = []
     for earlier, later in pairwise(lifetime):
         times = later.time * second, earlier.time * second

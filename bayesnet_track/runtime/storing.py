@@ -25,13 +25,19 @@ from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph, read_graph
 from bayesnet_track.graph.text.write import graph_sha256
 from bayesnet_track.journal.codec import event_classes, type_hints
-from bayesnet_track.journal.metrics import Answer, Answers
+from bayesnet_track.journal.metrics import Answers, QueryAnswer
 from bayesnet_track.journal.writer import write_atomically
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.image_files import Mask
 from bayesnet_track.observation.planes import Frame, PointMap, RightEye, StereoGeometry
 from bayesnet_track.runtime.checkpoints.origins import file_sha256, model_files, versions
-from bayesnet_track.runtime.checkpoints.state_codec import CLASSES, StateError, decode, encode, state_format
+from bayesnet_track.runtime.checkpoints.state_codec import (
+    CLASSES,
+    StateError,
+    decode_value,
+    encode_value,
+    state_format,
+)
 from bayesnet_track.runtime.frame_clock import FrameClock, Standing, image_users
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
@@ -104,7 +110,7 @@ class Stored:
     def standing(self, engine: Engine) -> Standing | None:
         """The standing to go on from with `engine`; None before its first frame. Raises StoredError."""
         try:
-            decoded = decode(self.body, stored_classes(), engine)
+            decoded = decode_value(self.body, stored_classes(), engine)
         except StateError as error:
             raise StoredError(f"the stored tracker is {error}") from error
         if not isinstance(decoded, Standing | None):
@@ -118,7 +124,7 @@ def stored_classes() -> tuple[type, ...]:
     of_trackers = (
         Standing,
         Answers,
-        Answer,
+        QueryAnswer,
         FrameClock,
         FrameKind,
         Resizing,
@@ -158,7 +164,7 @@ def check_storable(graph: CheckedGraph, engine: Engine, has_own_motion: bool) ->
         )
 
 
-def pack(
+def _pack(
     kind: str, graph: CheckedGraph, engine: Engine, options: Mapping[str, Any], standing: Standing | None
 ) -> bytes:
     """The bytes of a tracker of a kind: pixels of the last frame only where the graph looks at any.
@@ -174,8 +180,8 @@ def pack(
         lines = tuple(replace(line, cloud=tuple(line.cloud)) for line in standing.metrics)  # plain tuples
         standing = replace(standing, state=state, metrics=lines)
     try:
-        body = encode(standing, stored_classes())
-        masks = encode(
+        body = encode_value(standing, stored_classes())
+        masks = encode_value(
             {name: (str(line.path), line.sha256, line.gray) for name, line in graph.masks.items()}, ()
         )
     except StateError as error:
@@ -196,7 +202,7 @@ def pack(
     return b"\n".join((_first_line(), seal, content))
 
 
-def unpack(data: bytes, kind: str, own_graph: CheckedGraph | None = None) -> Stored:
+def _unpack(data: bytes, kind: str, own_graph: CheckedGraph | None = None) -> Stored:
     """Contents of the bytes, to be made with the `own_graph` graph, which is the stored one with None.
 
     Raises:
@@ -224,7 +230,7 @@ def unpack(data: bytes, kind: str, own_graph: CheckedGraph | None = None) -> Sto
             raise StoredError(f"a {header['kind']} was stored, and a {kind} is asked for")
         size, text, models, options = (header[name] for name in ("masks", "graph", "models", "options"))
         files = header["calibrations"]
-        fields = decode(body[:size], ())
+        fields = decode_value(body[:size], ())
         masks = {name: Mask(Path(path), sha256, gray) for name, (path, sha256, gray) in fields.items()}
     except StoredError:
         raise
@@ -351,11 +357,11 @@ class Storable:
     def _bytes(self) -> bytes:
         check_storable(self._graph, self._engine, self._has_own_motion)
         options = {**self._options(), "dtype": self._levels.dtype}
-        return pack(self._kind, self._graph, self._engine, options, self._now)
+        return _pack(self._kind, self._graph, self._engine, options, self._now)
 
     @classmethod
     def _of_bytes(cls, data: bytes, graph: CheckedGraph | None = None) -> Self:
-        stored = unpack(data, cls._kind, graph)
+        stored = _unpack(data, cls._kind, graph)
         tracker, dtype = cls.__new__(cls), stored.options.pop("dtype", None)
         tracker._make_again(stored.graph, stored.options)
         tracker._levels.go_on(dtype)

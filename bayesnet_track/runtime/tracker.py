@@ -29,7 +29,7 @@ from bayesnet_track.numerics.boxes import CornerBox
 from bayesnet_track.observation import plugins
 from bayesnet_track.observation.cue_files import GivenCue
 from bayesnet_track.observation.planes import Depth, Frame, RightEye
-from bayesnet_track.runtime.arguments import longest_side, say_unused_by_cues, whole
+from bayesnet_track.runtime.arguments import longest_side, say_unused_by_cues, whole_argument
 from bayesnet_track.runtime.frame_clock import FrameClock, Standing, refuse_unknown, rehearse_boxes
 from bayesnet_track.runtime.recording.interchange import Detections
 from bayesnet_track.runtime.resizing import Resizing
@@ -100,7 +100,7 @@ class Tracker(HasBox, Storable):
         plugins.allow(allow_plugins)
         self._clock = FrameClock.of_rate(fps)
         self._made_with: dict[str, Any] = {
-            "seed": whole("seed", seed, 0),
+            "seed": whole_argument("seed", seed, 0),
             "whole_px": bool(whole_px),
             "max_side": longest_side(max_side),
             "copy_frames": bool(copy_frames),

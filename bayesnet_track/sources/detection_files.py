@@ -26,7 +26,7 @@ from bayesnet_track.sources.entrances.boxes import describe_unusable, refuse_sha
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.entrances.text_lines import JSON_LINES, refuse_foreign
 from bayesnet_track.sources.frames import Picture
-from bayesnet_track.sources.mot_blocks import NAMES, plain
+from bayesnet_track.sources.mot_blocks import NAMES, plain_name
 from bayesnet_track.sources.mot_lines import parse_mot, read_text
 
 ASSUMED_RATE = 25.0
@@ -49,7 +49,7 @@ class _Sequence:
 def names_boxes(path: str | Path) -> bool:
     """True of a CSV file without a header, or with one that names boxes in full, not by `x`, `y`, `w`, `h`:
     those can be what a sensor measures."""
-    words = {plain(word) for word in re.split("[,;\t]", read_text(path).partition("\n")[0])}
+    words = {plain_name(word) for word in re.split("[,;\t]", read_text(path).partition("\n")[0])}
     named = {side for side in SIDES if words & {name for name in NAMES[side] if len(name) > 1}}
     is_header = any(word[:1].isalpha() for word in words)
     return named >= set(SIDES[:4]) or named >= {*SIDES[:2], *SIDES[4:]} or not is_header

@@ -106,7 +106,7 @@ class PageStack:
         name, place = f"{self._path.name}, page {index + 1}", self._pages.places[index]
         is_tiff = self._pages.kind == "TIFF"
         if is_tiff:
-            begin_with(self._data, place)
+            _begin_with(self._data, place)
         size = declared_size(self._data if is_tiff else self._data[place : place + 4096])
         if size is None:
             raise PictureError(f"{name}: not a readable image")
@@ -114,7 +114,7 @@ class PageStack:
         return decode(name, np.frombuffer(self._data, np.uint8)[0 if is_tiff else place :])
 
 
-def begin_with(data: bytearray, directory: int) -> None:
+def _begin_with(data: bytearray, directory: int) -> None:
     """Make the page of a directory the first one of a TIFF, which is the one that decoders read."""
     order = "<" if data[:2] == b"II" else ">"
     is_big = unpack_from(f"{order}H", data, 2)[0] == 43
@@ -188,7 +188,7 @@ def check_names(text: str, paths: Sequence[Path]) -> None:
     Raises:
         SourceError: names both sequences, and patterns for them.
     """
-    sequences = overlapping(paths)
+    sequences = overlapping_sequences(paths)
     if not sequences:
         return
     words = ", ".join(f"{name} ({count} images)" for name, count in list(sequences.items())[:3])
@@ -209,12 +209,12 @@ def check_names(text: str, paths: Sequence[Path]) -> None:
     )
 
 
-def overlapping(paths: Sequence[Path]) -> dict[str, int]:
+def overlapping_sequences(paths: Sequence[Path]) -> dict[str, int]:
     """Pattern -> images, of the sequences that share numbers with another one; empty where none do.
 
-    >>> overlapping([Path("left_1.png"), Path("left_2.png"), Path("right_1.png"), Path("right_2.png")])
-    {'left_*.png': 2, 'right_*.png': 2}
-    >>> overlapping([Path("a_1.png"), Path("a_2.png"), Path("b_3.png"), Path("b_4.png")])
+    >>> overlapping_sequences([Path(name) for name in ("l_1.png", "l_2.png", "r_1.png", "r_2.png")])
+    {'l_*.png': 2, 'r_*.png': 2}
+    >>> overlapping_sequences([Path("a_1.png"), Path("a_2.png"), Path("b_3.png"), Path("b_4.png")])
     {}
     """
     numbers: dict[tuple[str, str], list[int]] = defaultdict(list)

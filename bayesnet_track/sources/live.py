@@ -58,7 +58,7 @@ class Unreadable:
     reason: str
 
 
-class Feed(Protocol):
+class _Connection(Protocol):
     """An open connection: pictures as ((H, W, 3) uint8 BGR, has_color), until it ends or breaks."""
 
     def __iter__(self) -> Iterator[Image | Unreadable]: ...
@@ -89,9 +89,9 @@ class LiveReader:
 
     def __init__(
         self,
-        connect: Callable[[], Feed],
+        connect: Callable[[], _Connection],
         frame_interval_s: float | None,
-        first: Feed | None = None,
+        first: _Connection | None = None,
         *,
         stall_s: float = STALL_S,
         connect_s: float = CONNECT_S,
@@ -164,7 +164,7 @@ class _Arrival:
 class _Listener:
     """A thread that reads one connection and keeps its newest picture."""
 
-    def __init__(self, connect: Callable[[], Feed]) -> None:
+    def __init__(self, connect: Callable[[], _Connection]) -> None:
         self.taken, self._reason = 0, ""
         self._unreadable, self._fault, self._is_faulty = 0, "", False
         self._moments: list[float] = []
@@ -173,7 +173,7 @@ class _Listener:
         self._newest: tuple[float, Image] | None = None
         self._came = 0
         self._is_over = self._is_abandoned = False
-        self._feed: Feed | None = None
+        self._feed: _Connection | None = None
         # What hangs in a driver cannot be woken: such a thread is left alone, and ends with the process.
         threading.Thread(target=self._listen, name="live source", daemon=True).start()
 
@@ -274,7 +274,7 @@ CAMERA_RATE = 30.0
 MAX_INDEX = 2**31 - 1
 
 
-class Camera:
+class _Camera:
     """The pictures of the camera with this index, as they come.
 
     Raises:
@@ -317,8 +317,8 @@ def camera_reader(index: str, value_range: ValueRange | None = None) -> LiveRead
         SourceError: there is no such camera.
     """
     levels = Levels(f"camera {index}", value_range)
-    first = Camera(index, levels)
-    return LiveReader(lambda: Camera(index, levels), first.frame_interval_s, first)
+    first = _Camera(index, levels)
+    return LiveReader(lambda: _Camera(index, levels), first.frame_interval_s, first)
 
 
 MAX_AHEAD_S = 5.0

@@ -63,7 +63,7 @@ HEADERS = "frame,id,left,top,width,height,confidence,class, or x1,y1,x2,y2 for c
 
 
 @dataclass(frozen=True)
-class Layout:
+class MotColumns:
     """Columns of a line by index from 0; None for one that is not there.
 
     Attributes:
@@ -101,7 +101,7 @@ class Layout:
         return (c["width"], c["height"]) if self.has_corners and {"width", "height"} <= c.keys() else None
 
 
-KITTI = Layout(
+KITTI = MotColumns(
     {"index": 0, "id": 1, "class": 2, "left": 6, "top": 7, "right": 8, "bottom": 9, "confidence": 17},
     first_frame=0,
     width=17,
@@ -110,7 +110,7 @@ KITTI = Layout(
 """Labels of KITTI's tracking benchmark, of 17 columns, and results of 18: text classes, corners, frame 0."""
 
 
-def layout_of(header: Line, name: str) -> Layout:
+def layout_of(header: Line, name: str) -> MotColumns:
     """The layout that a header line names.
 
     Raises:
@@ -120,7 +120,7 @@ def layout_of(header: Line, name: str) -> Layout:
     (2, 3, 4, 5)
     """
     number, words = header
-    names = [plain(word) for word in words]
+    names = [plain_name(word) for word in words]
     twice = [column_name for k, column_name in enumerate(names) if column_name and column_name in names[:k]]
     if twice:
         raise ValueError(f"{name}:{number}: the header names {twice[0]!r} twice")
@@ -151,7 +151,7 @@ def layout_of(header: Line, name: str) -> Layout:
         if column_name and k not in columns.values() and column_name not in SILENT | OWN
     )
     first_frame = 0 if is_own or "index" in columns else 1
-    return Layout(columns, first_frame, len(words), len(words), tuple(unused), rivals)
+    return MotColumns(columns, first_frame, len(words), len(words), tuple(unused), rivals)
 
 
 def _rivals(names: Sequence[str]) -> Iterator[tuple[tuple[str, int], tuple[str, int]]]:
@@ -162,7 +162,7 @@ def _rivals(names: Sequence[str]) -> Iterator[tuple[tuple[str, int], tuple[str, 
             yield (read, names.index(read)), (rival, names.index(rival))
 
 
-def plain(word: str) -> str:
+def plain_name(word: str) -> str:
     """A column's name as `NAMES` has it."""
     return word.strip().strip("\"'<>").strip().lower().replace(" ", "_").replace("-", "_")
 

@@ -26,13 +26,20 @@ from bayesnet_track.sources.entrances.boxes import (
 from bayesnet_track.sources.entrances.notices import few, notice
 from bayesnet_track.sources.entrances.text_lines import (
     SHOWN,
-    Lines,
     NotTextError,
+    TextLines,
     explain_word,
     is_number,
     split_lines,
 )
-from bayesnet_track.sources.mot_blocks import KITTI, Layout, NumberedRow, corner_boxes, is_kitti, layout_of
+from bayesnet_track.sources.mot_blocks import (
+    KITTI,
+    MotColumns,
+    NumberedRow,
+    corner_boxes,
+    is_kitti,
+    layout_of,
+)
 
 PACKED = {
     b"PK\x03\x04": "a zip, or arrays of NumPy (.npz)",
@@ -109,7 +116,7 @@ NOT_COUNTED = "DontCare"
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class UncheckedRows:
     """Content of lines, unchecked.
 
     Attributes:
@@ -133,7 +140,7 @@ class Rows:
     first_frame: int = 1
 
 
-def read_plain(lines: Lines) -> Rows:
+def read_plain(lines: TextLines) -> UncheckedRows:
     """Lines of 6 to 10 numbers in the order of MOT; raises ValueError, which says file and line."""
     numbers, frames, ids = array("q"), array("q"), array("q")
     is_plain = lines.is_plain
@@ -164,7 +171,7 @@ def read_plain(lines: Lines) -> Rows:
         values.extend(missing[len(row) :])
         numbers.append(number)
     rows = np.array(values, dtype=np.float64).reshape(-1, MOST)
-    return Rows(numbers, frames, ids, rows, _classes_of(rows), wrong, odd)
+    return UncheckedRows(numbers, frames, ids, rows, _classes_of(rows), wrong, odd)
 
 
 def _classes_of(rows: Floats) -> NDArray[np.str_]:
@@ -188,7 +195,7 @@ def _classes_of(rows: Floats) -> NDArray[np.str_]:
     return np.array([str(int(number)) if number >= 0 else "" for number in class_numbers])[places]
 
 
-def read_layout(lines: Lines, layout: Layout) -> Rows:
+def read_layout(lines: TextLines, layout: MotColumns) -> UncheckedRows:
     """Lines whose columns hold what the layout says; raises ValueError, which says file and line."""
     columns = layout.columns
     at_frame, at_id = columns.get("frame", columns.get("index")), columns.get("id")
@@ -254,10 +261,10 @@ def read_layout(lines: Lines, layout: Layout) -> Rows:
     classes = np.array([_class_name(word) for word in class_words], dtype=np.str_)
     if layout is KITTI:
         rows[classes == NOT_COUNTED, 6] = 0.0
-    return Rows(numbers, frames, _ids_of(id_words), rows, classes, wrong, odd, layout.first_frame)
+    return UncheckedRows(numbers, frames, _ids_of(id_words), rows, classes, wrong, odd, layout.first_frame)
 
 
-def _check_rivals(layout: Layout, rows: Sequence[NumberedRow], name: str) -> None:
+def _check_rivals(layout: MotColumns, rows: Sequence[NumberedRow], name: str) -> None:
     """Raise ValueError where two columns say differently which frame or which target a row is of."""
     for (read, column), (rival, beside) in layout.rivals:
         pairs = [(words[column].strip(), words[beside].strip()) for _, words in rows]
@@ -365,14 +372,14 @@ def parse_mot(text: str, name: str = "<mot>", is_given: bool = False) -> MotLine
     return _checked(read, name)
 
 
-def _layout(lines: Lines) -> Layout | None:
+def _layout(lines: TextLines) -> MotColumns | None:
     if lines.header is not None:
         return layout_of(lines.header, lines.name)
     _, words = next(iter(lines), (0, []))
     return KITTI if is_kitti(words) else None
 
 
-def _refuse_others(read: Rows, name: str) -> None:
+def _refuse_others(read: UncheckedRows, name: str) -> None:
     """Raise ValueError where numbers without a header are, or can be, something else than MOT."""
     rows = read.values
     has_8 = len(rows) and (~np.isnan(rows[:, :8])).all() and np.isnan(rows[:, 8]).all()
@@ -390,7 +397,7 @@ def _refuse_others(read: Rows, name: str) -> None:
     )
 
 
-def _checked(read: Rows, name: str) -> MotLines:
+def _checked(read: UncheckedRows, name: str) -> MotLines:
     numbers, boxes = np.array(read.numbers, dtype=np.int64), read.values[:, 2:6]
     total, keep = len(numbers), usable(boxes)
     if not keep.all():

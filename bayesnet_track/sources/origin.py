@@ -206,7 +206,7 @@ class Origin:
 
     def _fingerprints(self, places: Mapping[str, str]) -> dict[str, Fingerprint]:
         parts = {part: text for part, text in self.parts().items() if is_file(text)}
-        return {part: fingerprint(_files(part, places[text])) for part, text in parts.items()}
+        return {part: fingerprint_files(_files(part, places[text])) for part, text in parts.items()}
 
 
 def _files(part: str, text: str) -> Sequence[Path]:
@@ -215,7 +215,7 @@ def _files(part: str, text: str) -> Sequence[Path]:
     return depth_files(text) if part == "depth" else files_of(text)
 
 
-def fingerprint(files: Sequence[Path]) -> Fingerprint:
+def fingerprint_files(files: Sequence[Path]) -> Fingerprint:
     """Content of the files, told from their names, sizes and samples of their bytes.
 
     Raises:

@@ -133,7 +133,7 @@ def parse_scans(text: str, sensors: Mapping[str, SensorColumns], name: str = "<d
     return ScanFile(_scans(scans, sensors, name), clock == TIME)
 
 
-def times_of(path: str | Path) -> tuple[list[int], list[float], str]:
+def _times_of(path: str | Path) -> tuple[list[int], list[float], str]:
     """Numbers and times of the frames of a file, and the column that they are from; raises as `scan_file`."""
     name = str(path)
     header, rows = _table(read_text(path), name)
@@ -151,7 +151,7 @@ class ScanReader:
     is_live = False
 
     def __init__(self, text: str) -> None:
-        self._numbers, times, clock = times_of(text)
+        self._numbers, times, clock = _times_of(text)
         self.frame_interval_s = 1.0 if clock == TIME else 1 / 25
         self._times = [time - times[0] for time in times] if clock == TIME else times
         self._seconds = times if clock == TIME else [time * self.frame_interval_s for time in times]

@@ -23,7 +23,7 @@ TOGETHER = 0.1
 """Frames of different cameras no farther apart than this share of the shortest interval are one step."""
 
 
-class CameraSource(Protocol):
+class _CameraSource(Protocol):
     """A source of one camera, such as `frames.Source`."""
 
     description: str
@@ -62,7 +62,7 @@ class SeveralSources:
         SourceError: a source has no times in seconds, or is live, so that nobody knows what is yet to come.
     """
 
-    sources: Mapping[str, CameraSource]
+    sources: Mapping[str, _CameraSource]
     start: int | None = None
     end: int | None = None
     frames: int = 0
@@ -90,7 +90,7 @@ class SeveralSources:
         cls, openers: Mapping[str, Callable[[], Any]], start: int | None = None, end: int | None = None
     ) -> Self:
         """The sources that these open; where one cannot be opened, those before it are closed."""
-        sources: dict[str, CameraSource] = {}
+        sources: dict[str, _CameraSource] = {}
         with ExitStack() as stack:
             for camera, open_camera in openers.items():
                 sources[camera] = open_camera()

@@ -26,7 +26,7 @@ from bayesnet_track.sources.origin import Kind, Origin
 from bayesnet_track.sources.paths import SourceError, depth_files, shown_address
 from bayesnet_track.sources.sources import check_range, make_reader
 from bayesnet_track.sources.timing import strided
-from bayesnet_track.vision.calibration import RectifiedPair, Rectifier, read_calibration
+from bayesnet_track.vision.calibration import RectifiedPair, Rectifier, read_rectification
 
 Completed = tuple[Image, Depth]
 Completer = Callable[[int, Picture | None, Image], Completed]
@@ -72,7 +72,7 @@ def open_stereo_source(
         ways = f"one of {right_eye}, {halves_of_one} and {setting('--depth', 'FOLDER')}"
         raise SourceError(left, f"{eye_count} second eyes are given", ways, "choose one")
     check_range(left, start, end)
-    rectifier = None if calibration is None else read_calibration(Path(calibration))
+    rectifier = None if calibration is None else read_rectification(Path(calibration))
     if rectifier is None and depth is None:
         raise SourceError(
             left,
@@ -84,19 +84,22 @@ def open_stereo_source(
     first = make_reader(left, allow_network, live, value_range)
     try:
         if side_by_side and rectifier is not None:
-            description, reader = f"{address} (side by side)", Joined(left, first, partial(halves, rectifier))
+            description, reader = (
+                f"{address} (side by side)",
+                DepthReader(left, first, partial(_halves, rectifier)),
+            )
         elif depth is not None:
             description, paths = f"{address} with depth {depth}", depth_files(depth)
             _check_alike(first, paths, left, depth)
             rectified = rectifier if isinstance(rectifier, RectifiedPair) else None
-            reader = Joined(left, first, partial(measured, paths, rectified))
+            reader = DepthReader(left, first, partial(_measured, paths, rectified))
         else:
             assert right is not None and rectifier is not None
             description = f"{address} + {shown_address(right)}"
             second = make_reader(right, allow_network, live, value_range)
             if (files := _files(second)) is not None:
                 _check_alike(first, files.paths, left, right)
-            reader = Joined(left, first, partial(two_eyes, rectifier), second)
+            reader = DepthReader(left, first, partial(two_eyes, rectifier), second)
     except BaseException:
         first.close()
         raise
@@ -132,7 +135,7 @@ def two_eyes(rectifier: Rectifier, index: int, second: Picture | None, image: Im
     return _rectify(rectifier, image, right)
 
 
-def halves(rectifier: Rectifier, index: int, second: Picture | None, image: Image) -> Completed:
+def _halves(rectifier: Rectifier, index: int, second: Picture | None, image: Image) -> Completed:
     """Both eyes in one picture, rectified; raises PictureError."""
     half, odd = divmod(image.shape[1], 2)
     if odd:
@@ -141,19 +144,19 @@ def halves(rectifier: Rectifier, index: int, second: Picture | None, image: Imag
     return _rectify(rectifier, left, right)
 
 
-def measured(
+def _measured(
     paths: Sequence[Path], pair: RectifiedPair | None, index: int, second: Picture | None, image: Image
 ) -> Completed:
     """The picture as it is, and the points of another sensor; raises PictureError."""
     if index >= len(paths):
         raise PictureError(f"there are {len(paths)} depth files, none for frame {index}")
-    points = read_points(paths[index], pair)
+    points = read_depth_points(paths[index], pair)
     if points.shape[:2] != image.shape[:2]:
         raise PictureError(f"depth is {_size(points)}, the picture {_size(image)}")
     return image, PointMap(points)
 
 
-class Joined:
+class DepthReader:
     """A reader whose pictures are completed to frames with depth.
 
     What does not fit in the first picture is an error of the source; later it is damage.
@@ -298,7 +301,7 @@ def _files(reader: Reader) -> ImageReader | None:
 # ------------------------------------------------------------------------------------ depth files
 
 
-def read_points(path: Path, pair: RectifiedPair | None) -> NDArray[np.float32]:
+def read_depth_points(path: Path, pair: RectifiedPair | None) -> NDArray[np.float32]:
     """(H, W, 3) points in m from a depth file; NaN where nothing was measured.
 
     Raises:

@@ -108,7 +108,7 @@ def pixels_of(frame: Any, reformatter: Any, levels: Levels) -> tuple[NDArray[np.
                 stored = frame if name == wide else reformatter.reformat(frame, format=wide)
                 levels.look(_samples(stored), image)
     except FAULTS as error:
-        raise PictureError(f"a frame cannot be converted: {words(error)}") from error
+        raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
     return _upright(image, _quarter_turns(frame)), has_color
 
 
@@ -149,7 +149,7 @@ class DecodedPicture:
         try:
             image = self.shrinker.reformat(self.frame, width, height, kind, interpolation="AREA").to_ndarray()
         except FAULTS as error:
-            raise PictureError(f"a frame cannot be converted: {words(error)}") from error
+            raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
         return _upright(image, turns)
 
 
@@ -198,7 +198,7 @@ def _quarter_turns(frame: Any) -> int:
     return round(degrees / 90) % 4
 
 
-def words(error: BaseException) -> str:
+def _words(error: BaseException) -> str:
     """Text of a decoder's error."""
     if isinstance(error, av.error.ExitError):  # only the time-out asks for that
         return f"no answer within {NETWORK_TIMEOUT_S:g} s"
@@ -289,10 +289,10 @@ class VideoReader:
             except StopIteration:
                 break
             except self._broken as error:
-                yield Damage(self._index, f"the connection broke: {words(error)}")
+                yield Damage(self._index, f"the connection broke: {_words(error)}")
                 break
             except FAULTS as error:
-                yield Damage(self._index, f"the container is damaged: {words(error)}")
+                yield Damage(self._index, f"the container is damaged: {_words(error)}")
                 failures += 1
                 packets = self._container.demux(self._stream)
                 continue
@@ -322,7 +322,7 @@ class VideoReader:
         try:
             frames = self._stream.codec_context.decode(packet)
         except FAULTS as error:
-            yield Damage(self._index, f"the decoder refused a frame: {words(error)}")
+            yield Damage(self._index, f"the decoder refused a frame: {_words(error)}")
             if packet is not None:
                 self._lost = int(packet.is_corrupt)  # the last one is where the file was cut
                 self._index += 1
@@ -400,8 +400,8 @@ def _open(text: str, network: bool) -> Any:
         return av.open(name, mode="r", options=options, timeout=timeout, **TOLERANT_METADATA)
     except FAULTS as error:
         if network:
-            raise _unreachable(text, words(error)) from error
-        raise _not_a_video(text, words(error)) from error
+            raise _unreachable(text, _words(error)) from error
+        raise _not_a_video(text, _words(error)) from error
 
 
 def _unreachable(text: str, fault: str) -> SourceError:

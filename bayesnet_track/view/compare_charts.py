@@ -23,7 +23,7 @@ from bayesnet_track.journal.reader import lines_of_frame
 from bayesnet_track.journal.text.compare_text import whose_text
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.view.page_data import History
-from bayesnet_track.view.svg import Points, decades, element, text_of, thin, ticks
+from bayesnet_track.view.svg import Points, decades, element, thin, ticks, xml_text
 
 WIDTH, LEFT, RIGHT = 960.0, 120.0, 16.0
 UD_TOP, UD_HEIGHT, APART_HEIGHT, ROW, GAP, FOOT = 44.0, 200.0, 90.0, 11.0, 40.0, 30.0
@@ -62,7 +62,7 @@ def draw_pair(
     caption = f"UD, distance of the estimates and active agents of target {pair[0]} in both runs"
     return (
         f'<svg class="chart" role="group" viewBox="0 0 {WIDTH:g} {height:g}">'
-        + element("title", text_of(caption))
+        + element("title", xml_text(caption))
         + "".join(body)
         + "</svg>"
     )
@@ -118,7 +118,7 @@ def _ud(sides: Sequence[History], x: _Scale) -> list[str]:
     for side, name in zip(sides, "ab", strict=True):
         top = UD_TOP if name == "a" else UD_TOP + UD_HEIGHT - 8.0
         for start, end in side.stretches(side.is_lost):
-            tip = element("title", text_of(f"{name.upper()} lost in frames {start} to {end}"))
+            tip = element("title", xml_text(f"{name.upper()} lost in frames {start} to {end}"))
             left, right = x(start - 0.5), x(end + 0.5)
             elements.append(
                 element("rect", tip, x=left, y=top, width=right - left, height=8.0, class_=f"lost {name}")
@@ -154,7 +154,7 @@ def _bars(sides: Sequence[History], agents: Sequence[str], x: _Scale, top: float
     elements = [_text("active agents, A above B", LEFT, top - 10.0, "soft")]
     for number, agent in enumerate(agents):
         row = top + number * (2 * ROW + 10.0)
-        name = text_of(agent if len(agent) <= 15 else f"{agent[:14]}…") + element("title", text_of(agent))
+        name = xml_text(agent if len(agent) <= 15 else f"{agent[:14]}…") + element("title", xml_text(agent))
         elements.append(
             element("text", name, x=LEFT - 8.0, y=row + ROW + 4.0, class_="ink", text_anchor="end")
         )
@@ -165,7 +165,7 @@ def _bars(sides: Sequence[History], agents: Sequence[str], x: _Scale, top: float
             )
             for start, end in side.stretches(side.is_active(agent)):
                 left, right = x(start - 0.5), x(end + 0.5)
-                tip = element("title", text_of(f"{letter.upper()}: {agent} in frames {start} to {end}"))
+                tip = element("title", xml_text(f"{letter.upper()}: {agent} in frames {start} to {end}"))
                 elements.append(
                     element(
                         "rect", tip, x=left, y=y, width=right - left, height=ROW - 1.0, class_=f"bar {letter}"
@@ -186,7 +186,7 @@ def _marks(moments: Sequence[Moment], pair: tuple[str, str], x: _Scale, bottom: 
             for name, side in (("A", moment.first), ("B", moment.second))
             for event in side
         ]
-        parts = [element("title", text_of("\n".join(caption)))]
+        parts = [element("title", xml_text("\n".join(caption)))]
         parts.append(_line(x_px, UD_TOP - 28.0, x_px, bottom, "hit"))
         parts.append(_line(x_px, UD_TOP - 12.0, x_px, bottom, "parting first" if number == 0 else "parting"))
         if x_px >= free:
@@ -212,7 +212,7 @@ def _line(x1: float, y1: float, x2: float, y2: float, look: str) -> str:
 
 
 def _text(text: str, x: float, y: float, look: str, anchor: str = "start") -> str:
-    return element("text", text_of(text), x=x, y=y, class_=look, text_anchor=anchor)
+    return element("text", xml_text(text), x=x, y=y, class_=look, text_anchor=anchor)
 
 
 WIDEST = 640
@@ -297,7 +297,7 @@ def _figure(
     caption = f"Frame {telling_frame.frame}, {whose_text(telling_frame.pair)}: {telling_frame.what}{closer}"
     view = f"{left} {top} {columns} {rows}"
     svg = element("svg", "".join(elements), viewBox=view, role="img", aria_label=caption, class_="picture")
-    return f"<figure>{svg}<figcaption>{text_of(caption)}</figcaption></figure>"
+    return f"<figure>{svg}<figcaption>{xml_text(caption)}</figcaption></figure>"
 
 
 def _window(image: NDArray[np.uint8], lines: Sequence[FrameMetrics]) -> tuple[int, int, int, int]:

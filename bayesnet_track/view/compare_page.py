@@ -15,8 +15,8 @@ from bayesnet_track.journal.text.compare_text import (
     estimate_lines,
     figure,
     marks_of,
+    moment_text,
     parting_lines,
-    place,
     shortened,
     sides,
     whose_text,
@@ -25,7 +25,7 @@ from bayesnet_track.journal.text.sentences import name_targets
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.view.compare_charts import MOST_MOMENTS, draw_pair
 from bayesnet_track.view.page_data import histories
-from bayesnet_track.view.svg import element, text_of
+from bayesnet_track.view.svg import element, xml_text
 
 OPEN_CHARTS = 3
 
@@ -110,9 +110,9 @@ def compare_page(
     """
     heading = title or f"{first.name} and {second.name}"
     # The words of a body name targets by their type; those of a hostile journal are escaped, as all others.
-    kinds = {target: text_of(kind) for target, kind in common_kinds(first, second, compared).items()}
+    kinds = {target: xml_text(kind) for target, kind in common_kinds(first, second, compared).items()}
     parts = [
-        f"<header><h1>{text_of(heading)}</h1>",
+        f"<header><h1>{xml_text(heading)}</h1>",
         *_runs(first, second),
         '</header><div class="columns"><section>',
         *_first_parting(first, second, compared),
@@ -120,7 +120,7 @@ def compare_page(
         "</section><section><h2>What each cost</h2>",
         _table(compared.totals),
         '<p class="soft">Bold is better. Measured times are a clock’s: equal runs differ, too.</p>',
-        *(f'<p class="soft">{text_of(line)}</p>' for line in estimate_lines(compared)[:12]),
+        *(f'<p class="soft">{xml_text(line)}</p>' for line in estimate_lines(compared)[:12]),
         '</section></div><section class="charts">',
         *_charts(first, second, compared),
         "</section>",
@@ -141,7 +141,7 @@ def static_page(heading: str, parts: Sequence[str], has_pictures: bool = False) 
             '<html lang="en"><head><meta charset="utf-8">',
             f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{text_of(heading)}</title>",
+            f"<title>{xml_text(heading)}</title>",
             f"<style>{STYLE}</style></head><body><main>",
             *parts,
             "</main></body></html>",
@@ -156,16 +156,16 @@ def _runs(first: RunRecord, second: RunRecord) -> list[str]:
     for letter, run in (("A", first), ("B", second)):
         start = next((event for event in run.events if isinstance(event, RunStarted)), None)
         run_text = "" if start is None else f" · {start.graph} · seed {start.seed}"
-        badges = "".join(f'<span class="badge">{text_of(mark)}</span>' for mark in marks_of(run))
+        badges = "".join(f'<span class="badge">{xml_text(mark)}</span>' for mark in marks_of(run))
         rows.append(
             f'<dt class="{letter.lower()}">{letter}</dt>'
-            f'<dd>{text_of(run.name)}<span class="soft">{text_of(run_text)}</span>{badges}</dd>'
+            f'<dd>{xml_text(run.name)}<span class="soft">{xml_text(run_text)}</span>{badges}</dd>'
         )
     first_start = next((event for event in first.events if isinstance(event, RunStarted)), None)
     size = (
         ""
         if first_start is None
-        else f'<p class="soft">on {text_of(first_start.source)} · '
+        else f'<p class="soft">on {xml_text(first_start.source)} · '
         f"{first_start.width} × {first_start.height} px</p>"
     )
     return [size, "<dl>", *rows, "</dl>"]
@@ -176,10 +176,10 @@ def _settings(settings: Sequence[str]) -> list[str]:
     if not settings:
         return ["<section><h2>They differ in</h2><p>The same graph and settings.</p></section>"]
     items = [
-        f"<li>{text_of(setting)}</li>"
-        if shortened(setting) == setting
-        else f"<li><details><summary>{text_of(shortened(setting))}</summary>{text_of(setting)}</details></li>"
-        for setting in settings
+        f"<li>{text}</li>"
+        if short == text
+        else f"<li><details><summary>{short}</summary>{text}</details></li>"
+        for text, short in ((xml_text(setting), xml_text(shortened(setting))) for setting in settings)
     ]
     return ["<section><h2>They differ in</h2><ul>", *items, "</ul></section>"]
 
@@ -190,7 +190,7 @@ def _first_parting(first: RunRecord, second: RunRecord, compared: Comparison) ->
     return [
         "<h2>Where they first diverge</h2>",
         '<div class="first">',
-        f"<p><b>{text_of(_capital(head))}</b></p>",
+        f"<p><b>{xml_text(_capital(head))}</b></p>",
         *lines,
         "</div>",
     ]
@@ -200,8 +200,8 @@ def _mark_sides(line: str) -> str:
     """A line that begins with A or B in that run's colour."""
     letter, _, text = line.partition("  ")
     if letter in ("A", "B") and text:
-        return f'<p><b class="side {letter.lower()}">{letter}</b>{text_of(text)}</p>'
-    return f'<p class="soft">{text_of(_capital(line))}</p>'
+        return f'<p><b class="side {letter.lower()}">{letter}</b>{xml_text(text)}</p>'
+    return f'<p class="soft">{xml_text(_capital(line))}</p>'
 
 
 def _capital(text: str) -> str:
@@ -213,14 +213,14 @@ def _table(totals: Sequence[Total]) -> str:
     for total in totals:
         better = _better(total)
         cells = [
-            element("td", text_of(figure(value)), class_="better" if better == letter else None)
+            element("td", xml_text(figure(value)), class_="better" if better == letter else None)
             for letter, value in (("a", total.first), ("b", total.second))
         ]
         rows.append(
             "<tr>"
-            + element("th", text_of(total.name), scope="row")
+            + element("th", xml_text(total.name), scope="row")
             + "".join(cells)
-            + f"<td>{text_of(change(total))}</td></tr>"
+            + f"<td>{xml_text(change(total))}</td></tr>"
         )
     head = (
         '<thead><tr><th></th><th scope="col" class="a">A</th><th scope="col" class="b">B</th>'
@@ -264,7 +264,7 @@ def _charts(first: RunRecord, second: RunRecord, compared: Comparison) -> list[s
             parts.append(chart)
         else:
             is_open = " open" if number < OPEN_CHARTS else ""
-            parts.append(f"<details{is_open}><summary>{text_of(name)}</summary>{chart}</details>")
+            parts.append(f"<details{is_open}><summary>{xml_text(name)}</summary>{chart}</details>")
     return parts
 
 
@@ -273,7 +273,7 @@ def _moments(first: RunRecord, second: RunRecord, compared: Comparison) -> list[
         return []
     parts = [f"<section><h2>{_capital(plural(len(compared.moments), 'parting'))}</h2>"]
     for number, moment in enumerate(compared.moments[:MOST_MOMENTS]):
-        head = f'<h3><a href="#moment-{number}">{text_of(_capital(place(moment, compared)))}</a></h3>'
+        head = f'<h3><a href="#moment-{number}">{xml_text(_capital(moment_text(moment, compared)))}</a></h3>'
         body = "".join(_mark_sides(line) for line in sides(first, second, moment))
         parts.append(f'<div class="moment" id="moment-{number}">{head}{body}</div>')
     if len(compared.moments) > MOST_MOMENTS:

@@ -21,7 +21,7 @@ from bayesnet_track.view.graph_layout import (
     NodeShape,
     lay_out,
 )
-from bayesnet_track.view.svg import document, element, text_of
+from bayesnet_track.view.svg import document, element, xml_text
 
 FONT = "ui-monospace, SFMono-Regular, Menlo, Consolas, 'DejaVu Sans Mono', monospace"
 INK, SOFT, PALE = "#1f2933", "#7b8794", "#cbd2d9"
@@ -113,7 +113,7 @@ def _svg_node(node: NodeShape) -> str:
 def _svg_text(text: str, x: float, y: float, size: float, fill: str, weight: int) -> str:
     return element(
         "text",
-        text_of(text),
+        xml_text(text),
         x=x,
         y=y + 0.35 * size,
         font_family=FONT,

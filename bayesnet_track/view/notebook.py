@@ -32,7 +32,7 @@ from bayesnet_track.journal.text.story import narrate_all
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.numerics.boxes import corner_from_centre
 from bayesnet_track.view.graph_picture import graph_svg
-from bayesnet_track.view.svg import element, text_of
+from bayesnet_track.view.svg import element, xml_text
 from bayesnet_track.view.timeline import draw_timeline
 
 SHOWN_TARGETS, SHOWN_EVENTS = 3, 40
@@ -65,7 +65,7 @@ class Page:
 
 def graph_html(graph: CheckedGraph) -> str:
     """The picture of each plate's net, under the graph's name and what it is for."""
-    head = f"<p><b>{text_of(graph.spec.name)}</b> {text_of(graph.spec.about)}</p>"
+    head = f"<p><b>{xml_text(graph.spec.name)}</b> {xml_text(graph.spec.about)}</p>"
     return head + "".join(_frame(_plate_svg(graph, plate)) for plate in graph.targets)
 
 
@@ -74,8 +74,8 @@ def spec_html(spec: GraphSpec) -> str:
     try:
         return graph_html(check_graph(spec))
     except GraphError as error:
-        items = "".join(f"<li>{text_of(message)}</li>" for message in error.errors)
-        return f"<p><b>{text_of(spec.name)}</b> cannot be run:</p><ul>{items}</ul>"
+        items = "".join(f"<li>{xml_text(message)}</li>" for message in error.errors)
+        return f"<p><b>{xml_text(spec.name)}</b> cannot be run:</p><ul>{items}</ul>"
 
 
 def graph_picture(graph: CheckedGraph) -> str:
@@ -107,7 +107,7 @@ def run_html(run: RunRecord) -> str:
         timelines.append(f"<p>and {plural(len(targets) - SHOWN_TARGETS, 'more target')}</p>")
     named, kinds = has_several_targets(run.events), kinds_of(run.events)
     sentences = list(narrate_all(run.events, kinds, named))
-    items = [f"<li>{text_of(line)}</li>" for line in sentences[:SHOWN_EVENTS]]
+    items = [f"<li>{xml_text(line)}</li>" for line in sentences[:SHOWN_EVENTS]]
     hidden_count = len(sentences) - SHOWN_EVENTS
     items += [f"<li>and {hidden_count} more</li>"] if hidden_count > 0 else []
     summary = f"<summary>{plural(len(sentences), 'line')} of the journal</summary>"
@@ -116,10 +116,12 @@ def run_html(run: RunRecord) -> str:
 
 def table(rows: Iterable[Sequence[object]], head: Sequence[str] = ()) -> str:
     """Plain rows as an HTML table; the first cell of a row is its heading where there is no `head`."""
-    top = "".join(element("th", text_of(cell), scope="col") for cell in head)
+    top = "".join(element("th", xml_text(cell), scope="col") for cell in head)
     body = [
         "".join(
-            element("th", text_of(cell), scope="row") if k == 0 and not head else element("td", text_of(cell))
+            element("th", xml_text(cell), scope="row")
+            if k == 0 and not head
+            else element("td", xml_text(cell))
             for k, cell in enumerate(row)
         )
         for row in rows

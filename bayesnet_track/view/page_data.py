@@ -24,7 +24,7 @@ from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.cameras import Camera
 from bayesnet_track.view.overlay import FARTHEST_M
-from bayesnet_track.view.page_tables import choose, event_rows, plates, short_floats
+from bayesnet_track.view.page_tables import choose_rows, event_rows, plates, short_floats
 
 VERSION = 1
 STATUSES = ("tracking", "uncertain", "lost", "seen", "hidden", "unwatched")
@@ -77,7 +77,7 @@ def run_data(
         raise ValueError("the journal does not begin with run_started")
     seen_by = {} if graph is None else graph.several_cameras
     blocks = Blocks(metrics, (*READ, "state/") if seen_by else READ)
-    selection = choose(blocks, events)
+    selection = choose_rows(blocks, events)
     templates = {e.target: e.template for e in events if isinstance(e, TargetStarted | Returned)}
     points = max(1, CLOUD_POINTS // max(1, len(selection.rows)))
     columns: Columns = {}

@@ -311,7 +311,7 @@ class Shown:
         return {} if self.about is None else {"counted": self.counts[target]}
 
 
-def choose(blocks: Blocks, events: Sequence[Event]) -> Shown:
+def choose_rows(blocks: Blocks, events: Sequence[Event]) -> Shown:
     """The rows to show: all, or at most about `MOST_ROWS`.
 
     Of a long run they are every n-th frame, the frame with the largest UD of each target between two of them,

@@ -10,7 +10,7 @@ _ILLEGAL = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 """Characters that XML 1.0 does not allow even when escaped."""
 
 
-def text_of(value: object) -> str:
+def xml_text(value: object) -> str:
     """`value` as XML text: escaped, characters that XML forbids replaced."""
     return escape(_ILLEGAL.sub("\ufffd", str(value)), quote=True)
 
@@ -42,8 +42,8 @@ def document(width: float, height: float, title: str, description: str, body: li
     )
     parts = [
         head,
-        element("title", text_of(title), id="title"),
-        element("desc", text_of(description), id="description"),
+        element("title", xml_text(title), id="title"),
+        element("desc", xml_text(description), id="description"),
         element("rect", width=width, height=height, fill="#ffffff"),
         *body,
         "</svg>",
@@ -52,7 +52,7 @@ def document(width: float, height: float, title: str, description: str, body: li
 
 
 def _value(value: object) -> str:
-    return f"{value:.2f}".rstrip("0").rstrip(".") if isinstance(value, float) else text_of(value)
+    return f"{value:.2f}".rstrip("0").rstrip(".") if isinstance(value, float) else xml_text(value)
 
 
 def ticks(first: int, end: int, max_ticks: int = 10) -> list[int]:

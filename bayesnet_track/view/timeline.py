@@ -18,7 +18,7 @@ from bayesnet_track.journal.net import Switch, turns_on
 from bayesnet_track.journal.target_net import Cause
 from bayesnet_track.journal.text.sentences import explain
 from bayesnet_track.view.page_data import History, histories
-from bayesnet_track.view.svg import decades, document, element, text_of, thin, ticks
+from bayesnet_track.view.svg import decades, document, element, thin, ticks, xml_text
 
 WIDTH, LEFT, RIGHT, TOP = 960.0, 148.0, 128.0, 58.0
 PLOT_HEIGHT, BAR, BAR_GAP, FOOT = 230.0, 15.0, 8.0, 46.0
@@ -122,7 +122,7 @@ def _lost(lines: History, axes: Axes) -> list[str]:
     elements = []
     for first, end in lines.stretches(lines.is_lost):
         left, right = _edges(first, end, axes)
-        tip = element("title", text_of(f"lost in frames {first} to {end}"))
+        tip = element("title", xml_text(f"lost in frames {first} to {end}"))
         look = {"fill": LOST, "fill_opacity": 0.4}
         elements.append(element("rect", tip, x=left, y=TOP, width=right - left, height=PLOT_HEIGHT, **look))
         if right - left > 30:
@@ -203,7 +203,7 @@ def _bars(lines: History, agents: Sequence[str], axes: Axes, top: float) -> list
         ]
         for first, end in runs:
             left, right = _edges(first, end, axes)
-            tip = element("title", text_of(f"{agent}: frames {first} to {end}"))
+            tip = element("title", xml_text(f"{agent}: frames {first} to {end}"))
             elements.append(
                 element("rect", tip, x=left, y=y, width=right - left, height=BAR, rx=3.0, fill=colour)
             )
@@ -232,7 +232,7 @@ def _marks(
             d=f"M {x - 5:.2f} {y:.2f} L {x + 5:.2f} {y:.2f} L {x:.2f} {y + 1.6 * tip:.2f} Z",
             fill=colour,
         )
-        parts = [element("title", text_of(explain(event))), stem, sign]
+        parts = [element("title", xml_text(explain(event))), stem, sign]
         if x >= free:
             parts.append(
                 _text(str(event.frame), x, top - 12.0, 10.5, colour, anchor="middle", weight=600, halo=True)
@@ -277,7 +277,7 @@ def _text(
     tip: str | None = None,
     halo: bool = False,
 ) -> str:
-    content = text_of(text) + ("" if tip is None else element("title", text_of(tip)))
+    content = xml_text(text) + ("" if tip is None else element("title", xml_text(tip)))
     return element(
         "text",
         content,

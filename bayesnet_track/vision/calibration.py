@@ -147,7 +147,7 @@ def rectification(cameras: Cameras) -> Rectification:
     return Rectification(*size, geometry, maps[0], maps[1])
 
 
-def read_calibration(path: Path) -> Rectifier:
+def read_rectification(path: Path) -> Rectifier:
     """Rectification of an OpenCV YAML file.
 
     Raises:
@@ -202,7 +202,7 @@ def read_calibration(path: Path) -> Rectifier:
 
 
 def write_calibration(path: Path, calibration: Cameras | RectifiedPair) -> None:
-    """Write what `read_calibration` reads.
+    """Write what `read_rectification` reads.
 
     Raises:
         OSError: the file cannot be written.
@@ -290,7 +290,7 @@ class Calibrated:
     used: tuple[int, ...]
 
 
-def calibrate(
+def calibrate_pair(
     left: Sequence[Image], right: Sequence[Image], board: tuple[int, int], square_m: float
 ) -> Calibrated:
     """Calibrate from pairs of pictures (H, W, 3) of one board.

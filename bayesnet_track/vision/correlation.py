@@ -43,7 +43,7 @@ _MIXES = np.array(
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
+class _Patch:
     """A square crop of a frame in cells.
 
     Attributes:
@@ -58,7 +58,7 @@ class Patch:
     features: Singles
 
 
-def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, signed: bool = True) -> Patch:
+def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, signed: bool = True) -> _Patch:
     """The patch of `cells` x `cells` cells of about `cell` px around (x, y) of an (H, W, 3) BGR image.
 
     With gradients that have their sign too if `signed`.
@@ -78,14 +78,14 @@ def patch_at(image: Bytes, x: float, y: float, cell: float, cells: int, signed: 
     left, top = round(x - (side - 1) / 2), round(y - (side - 1) / 2)
     crop = _cut_shrunk(image, left, top, side // times, times)
     resized = np.asarray(cv2.resize(crop, (size, size), interpolation=cv2.INTER_LINEAR), np.uint8)
-    return Patch(
+    return _Patch(
         left + (side - 1) / 2, top + (side - 1) / 2, side / padded, _features(resized, cells, signed)
     )
 
 
 def turned_patch_at(
     image: Bytes, x: float, y: float, cell: float, cells: int, signed: bool, angle: float
-) -> Patch:
+) -> _Patch:
     """Patch of a square turned by `angle` degrees, clockwise: it shows the target upright."""
     import cv2
 
@@ -102,7 +102,7 @@ def turned_patch_at(
     matrix = np.column_stack([turn, middle - turn @ np.full(2, (size - 1) / 2)])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     upright = cv2.warpAffine(crop, matrix, (size, size), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    return Patch(x, y, cell, _features(np.asarray(upright, np.uint8), cells, signed))
+    return _Patch(x, y, cell, _features(np.asarray(upright, np.uint8), cells, signed))
 
 
 def turned_features(features: Singles, angle: float) -> Singles:

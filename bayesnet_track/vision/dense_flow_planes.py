@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Frame, FramePair, Plane, Region, for_reading
-from bayesnet_track.vision.motion_planes import interval_of
+from bayesnet_track.vision.motion_planes import interval_between
 from bayesnet_track.vision.planes import gray
 
 LEAST_SIDE = 16
@@ -118,7 +118,7 @@ class DenseFlowPlane:
                     [odp_flow(current, previous, self.reach_px), odp_flow(previous, current, self.reach_px)]
                 )
                 self._check(flows, crop, part, window.of(scores), window.of(field))
-        field[..., :2] /= np.float32(interval_of(frames))
+        field[..., :2] /= np.float32(interval_between(frames))
         return field
 
     def _check(self, flows: Array, covered: Region, region: Region, scores: Array, field: Array) -> None:
@@ -180,7 +180,7 @@ def odp_flow(source: Array, target: Array, reach_px: float) -> Array:
 
 
 def _has_flow(frames: FramePair) -> bool:
-    return interval_of(frames) > 0 and min(frames.current.image.shape[:2]) >= LEAST_SIDE
+    return interval_between(frames) > 0 and min(frames.current.image.shape[:2]) >= LEAST_SIDE
 
 
 def _tiles(region: Region) -> list[Region]:

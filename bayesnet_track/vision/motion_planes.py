@@ -138,7 +138,7 @@ class FlowPlane:
         """The valid vectors of the current frame whose points lie in `region`."""
         from bayesnet_track.vision.kernels import flow_kernels
 
-        current, previous, interval = frames.current, frames.previous, interval_of(frames)
+        current, previous, interval = frames.current, frames.previous, interval_between(frames)
         if previous is None or not interval > 0 or region.is_empty:
             return np.empty((0, 4))
         points = self._corners(current, region)
@@ -201,7 +201,7 @@ class CameraPlane:
     def compute(self, frames: FramePair, inputs: tuple[Array, ...], region: Region) -> Array:
         """The matrix, from the whole frames."""
 
-        interval = interval_of(frames)
+        interval = interval_between(frames)
         if frames.previous is None or not interval > 0:
             return np.zeros((2, 3))
         current, scale = smaller_gray(frames.current)
@@ -221,7 +221,7 @@ class CameraPlane:
         return np.asarray(fit.matrix * np.array([1.0, 1.0, scale]) / interval)
 
 
-def interval_of(frames: FramePair) -> float:
+def interval_between(frames: FramePair) -> float:
     """Time between the two frames, in nominal intervals; 0 where motion is unknown.
 
     It is unknown without a previous frame, or when that one has another size or is not earlier.
@@ -360,7 +360,7 @@ class PanPlane:
         """The shift, from the whole frames."""
         import cv2
 
-        if frames.previous is None or not interval_of(frames) > 0:
+        if frames.previous is None or not interval_between(frames) > 0:
             return np.zeros(2)
         (current, scale), (previous, _) = smaller_gray(frames.current), smaller_gray(frames.previous)
         if min(current.width, current.height) < 2:

@@ -81,7 +81,7 @@ class PointMotion:
         return np.array([place_after.real, place_after.imag])
 
 
-def cut(image: Image, region: Region) -> Image:
+def cut_region(image: Image, region: Region) -> Image:
     """The picture on a region, edge pixels repeated outside the frame; empty where it misses the frame."""
     import cv2
 
@@ -327,7 +327,7 @@ def displace(
     feasible = evidence >= likelihood.mean(axis=(1, 2), keepdims=True)
     filtered = np.where(feasible, joint / np.maximum(evidence, 1e-300), measured)
     total = filtered[visible].mean(axis=0)
-    mean, covariance = moments(total)
+    mean, covariance = matrix_moments(total)
     motion = centre + mean
     displacements = centre + working_points(filtered, mean, matching)
     places = points.at + np.rint(displacements * dt).astype(np.int64)
@@ -383,7 +383,7 @@ def _overlap(shift: int, size: int) -> slice:
     return slice(max(-shift, 0), size - max(shift, 0))
 
 
-def moments(matrix: Floats) -> tuple[Floats, Floats]:
+def matrix_moments(matrix: Floats) -> tuple[Floats, Floats]:
     """Mean (u, v) from the centre and covariance (2, 2) of probabilities (K, K), px per frame."""
     steps = np.arange(len(matrix)) - (len(matrix) - 1) / 2
     column_sums, row_sums = matrix.sum(axis=0), matrix.sum(axis=1)

@@ -182,7 +182,7 @@ def mask_edges(mask: Array) -> Ints:
     return np.column_stack([x, y]).astype(np.int64)
 
 
-def mask_box(mask: Array) -> Floats:
+def _mask_box(mask: Array) -> Floats:
     """(4,) the centre box around all pixels of a mask (H, W) above 0.
 
     Raises:
@@ -214,7 +214,7 @@ def mask_example(mask: Array, grid: int) -> tuple[Floats, float]:
     Raises:
         ValueError: the mask is empty.
     """
-    box = mask_box(mask)[None]
+    box = _mask_box(mask)[None]
     return _example(mask_edges(mask), box, mask.shape[1], mask.shape[0], grid)
 
 

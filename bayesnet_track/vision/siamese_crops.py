@@ -141,12 +141,12 @@ def crops_for(
 
 
 CELL = 4
-"""Side of the cells of `plain`, px of the network."""
+"""Side of the cells of `plain_correlator`, px of the network."""
 CHANCE = 0.5
 """Correlations below this are chance: nothing is said to be there."""
 
 
-def plain() -> Networks:
+def plain_correlator() -> Networks:
     """A stand-in without model files: correlation of the pixels in the template's middle."""
     import cv2
 

@@ -283,7 +283,7 @@ def _log_kernels(sd_px: float) -> tuple[Array, Array, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class FeatureSpread:
     """Standard deviations of K features.
 
     Attributes:
@@ -297,7 +297,7 @@ class Spread:
     freedom: int
 
 
-def estimate_spread(features: Floats, groups: Ints, default: Floats, prior: float) -> Spread:
+def estimate_spread(features: Floats, groups: Ints, default: Floats, prior: float) -> FeatureSpread:
     """Standard deviations of features within groups, shrunk toward a default.
 
     ``sd^2 = (prior default^2 + S) / (prior + n - g)``, S the sum of the squared deviations of n examples from
@@ -331,4 +331,4 @@ def estimate_spread(features: Floats, groups: Ints, default: Floats, prior: floa
     np.add.at(sums, group, features)
     squares = ((features - (sums / size[:, None])[group]) ** 2).sum(axis=0)
     sd = np.sqrt((prior * default**2 + squares) / (prior + freedom))
-    return Spread(sd, np.sqrt(squares / freedom), freedom)
+    return FeatureSpread(sd, np.sqrt(squares / freedom), freedom)

@@ -12,9 +12,9 @@ from bayesnet_track.adapt.meetings import (
     MOST_MEMBERS,
     RECENT,
     Meeting,
+    MeetingDetections,
     Placing,
     SensorRates,
-    Sighting,
     advance,
     assignments,
     join_meetings,
@@ -40,9 +40,9 @@ def beliefs(count: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     return mean, np.tile(np.diag([3.0, 3.0, 1.0, 1.0, 0.5, 0.5]), (count, 1, 1))
 
 
-def frames_of(count: int, found: int, rng: np.random.Generator, frames: int) -> list[Sighting]:
+def frames_of(count: int, found: int, rng: np.random.Generator, frames: int) -> list[MeetingDetections]:
     return [
-        Sighting(
+        MeetingDetections(
             np.array([51.0 + step, 50.0, 20.0, 30.0]) + rng.normal(0, 2.5, (found, 4)),
             np.tile(VARIANCES, (found, 1)),
             rng.normal(-1.0, 0.5, (count, found)),
@@ -53,7 +53,7 @@ def frames_of(count: int, found: int, rng: np.random.Generator, frames: int) -> 
 
 
 def enumerated(
-    mean: Floats, covariance: Floats, frames: list[Sighting], rates: SensorRates
+    mean: Floats, covariance: Floats, frames: list[MeetingDetections], rates: SensorRates
 ) -> dict[tuple[int, ...], float]:
     """Assignment of the last frame -> its probability: a sum over all sequences, a filter for each."""
     count, total = len(mean), dict[tuple[int, ...], float]()

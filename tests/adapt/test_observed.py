@@ -7,11 +7,11 @@ from bayesnet_track.adapt.association import (
     COUNT,
     GAP,
     LAST,
-    Layout,
+    PartColumns,
     direction_consistency,
     earlier,
     first_observed,
-    observe,
+    observe_hypotheses,
 )
 from bayesnet_track.observation.cue import AssociationRule
 
@@ -30,14 +30,16 @@ def after(*places):
     rows = first_observed(RULE, box(places[0])[None], 6)
     for place in places[1:]:
         own = np.zeros((1, 4)) if place is None else box(place)[None]
-        rows = observe(RULE, rows, BELIEFS, own, np.array([place is not None]), 1.0)
+        rows = observe_hypotheses(RULE, rows, BELIEFS, own, np.array([place is not None]), 1.0)
     return rows
 
 
 def test_nothing_is_remembered_where_no_rule_asks_for_it():
     plain = AssociationRule(0.1, 0.1, 1.0, 0.3, 0.0)
     assert first_observed(plain, np.ones((3, 4)), 6).shape == (3, 0)
-    assert observe(plain, np.empty((3, 0)), BELIEFS, np.ones((3, 4)), np.ones(3, bool), 1.0).shape == (3, 0)
+    assert observe_hypotheses(
+        plain, np.empty((3, 0)), BELIEFS, np.ones((3, 4)), np.ones(3, bool), 1.0
+    ).shape == (3, 0)
 
 
 def test_gap_and_last_detection_are_counted():
@@ -47,11 +49,13 @@ def test_gap_and_last_detection_are_counted():
 
 
 def test_the_belief_is_kept_from_the_first_missing_frame_on():
-    layout = Layout.of(RULE, 6)
+    layout = PartColumns.of(RULE, 6)
     seen = after(0.0, 1.0)
     assert np.isnan(seen[0, layout.mean]).all()
-    parted = observe(RULE, seen, (np.full((1, 6), 7.0), BELIEFS[1]), np.zeros((1, 4)), np.array([False]), 1.0)
-    later = observe(
+    parted = observe_hypotheses(
+        RULE, seen, (np.full((1, 6), 7.0), BELIEFS[1]), np.zeros((1, 4)), np.array([False]), 1.0
+    )
+    later = observe_hypotheses(
         RULE, parted, (np.full((1, 6), 9.0), BELIEFS[1]), np.zeros((1, 4)), np.array([False]), 1.0
     )
     assert later[0, layout.mean].tolist() == [7.0] * 6
@@ -67,7 +71,7 @@ def test_the_belief_is_kept_from_the_first_missing_frame_on():
     ],
 )
 def test_directions_start_at_the_earliest_detection_of_the_window(places, origin):
-    assert earlier(Layout.of(RULE, 6), after(*places))[0, 0] == origin
+    assert earlier(PartColumns.of(RULE, 6), after(*places))[0, 0] == origin
 
 
 def test_direction_consistency_by_hand():

@@ -9,7 +9,7 @@ from bayesnet_track.adapt.association import (
     UNASSIGNED,
     assign_total,
     first_observed,
-    observe,
+    observe_hypotheses,
     share_by_overlap,
     share_in_passes,
 )
@@ -63,7 +63,7 @@ def test_direction_decides_between_two_that_overlap_alike():
     expected, found = boxes(0.0, 0.0), boxes(-3.0, 3.0)
     rows = first_observed(rule, boxes(-20.0, 20.0), 8)
     for ways in ((-10.0, 10.0), (-1.0, 1.0)):
-        rows = observe(
+        rows = observe_hypotheses(
             rule, rows, (np.zeros((2, 8)), np.zeros((2, 8, 8))), boxes(*ways), np.ones(2, bool), 1.0
         )
     assert shared(rule, expected, found, [0.9, 0.9], rows) == [1, 0]

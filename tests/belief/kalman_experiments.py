@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Belief, Evidence, MotionModel, Step, estimate
+from bayesnet_track.belief.contract import BOX_FIELDS, BeliefFilter, Evidence, MotionModel, Step, estimate
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.motion.formulas import FunctionMotion
 from bayesnet_track.belief.motion.models import make_motion
@@ -133,7 +133,9 @@ def turning() -> MotionModel:
 # ------------------------------------------------------------------------------------ running
 
 
-def follow(belief: Belief[Any], motion: MotionModel, truth: Floats, measured: Floats, seed: int) -> Track:
+def follow(
+    belief: BeliefFilter[Any], motion: MotionModel, truth: Floats, measured: Floats, seed: int
+) -> Track:
     """One filter along a path; it starts in the true place with an unknown velocity."""
     streams = Streams(seed)
     box = np.array([*truth[0], SIZE, SIZE])
@@ -201,7 +203,7 @@ def occlusion(runs: int) -> dict[str, list[Track]]:
 def manoeuvres(runs: int, names: Sequence[str] = ()) -> dict[str, list[Track]]:
     """Figure 3.13: a turn, by filters of the chapter's models and of a turn at an unknown rate."""
     path = manoeuvre()
-    filters: dict[str, tuple[Belief[Any], MotionModel]] = {
+    filters: dict[str, tuple[BeliefFilter[Any], MotionModel]] = {
         "Kalman, uniform motion": (gaussian("kalman", 1.0), constant_velocity(0.2)),
         "Kalman, wide noise": (gaussian("kalman", 1.0), constant_velocity(1.5)),
         "Kalman, damped velocity": (gaussian("kalman", 1.0), damped_velocity(2.5)),
@@ -253,7 +255,7 @@ def bimodal(runs: int, size: int = 500) -> dict[str, Floats]:
     return {kind: np.array(places) for kind, places in found.items()}
 
 
-def two_mode_step(belief: Belief[Any], seed: int) -> Step[Any]:
+def two_mode_step(belief: BeliefFilter[Any], seed: int) -> Step[Any]:
     """One frame between the two modes, after a random walk of 40 by 20 px from halfway."""
     motion = make_motion(spec.Motion.model_validate({"random_walk": {"sd_px": {"x": 40.0, "y": 20.0}}}))
     streams = [partial(Streams(seed).of, "1", "root", frame) for frame in (0, 1)]

@@ -15,8 +15,8 @@ from bayesnet_track.belief.grid.belief import (
 )
 from bayesnet_track.belief.grid.cells import (
     GridBelief,
+    GridLimits,
     Lattice,
-    Limits,
     Patch,
     crop_patch,
     find_kept,
@@ -132,12 +132,12 @@ def test_of_too_many_cells_those_around_the_mean_are_kept():
 
 def test_masses_beyond_the_image_fold_onto_its_border(rng):
     mass = rng.random((2, 2, 4, 5))
-    found = crop_patch(Patch(mass, -1, 8), Limits((0, 2), (0, 9), 50), 50)
+    found = crop_patch(Patch(mass, -1, 8), GridLimits((0, 2), (0, 9), 50), 50)
     assert (found.column, found.row) == (0, 8)
     across = np.stack([mass[..., :2].sum(-1), mass[..., 2], mass[..., 3:].sum(-1)], axis=-1)
     expected = np.stack([across[:, :, 0], across[:, :, 1:].sum(axis=2)], axis=2)
     np.testing.assert_allclose(found.mass, expected)
-    free = crop_patch(Patch(mass, -1, 8), Limits(None, None, 50), 50)
+    free = crop_patch(Patch(mass, -1, 8), GridLimits(None, None, 50), 50)
     assert (free.column, free.row) == (-1, 8)
     np.testing.assert_array_equal(free.mass, mass)
 
@@ -155,22 +155,22 @@ def test_patches_are_laid_over_each_other(rng):
 
 def test_limits_are_the_cells_whose_points_lie_in_the_image(motion_of):
     walk = motion_of("random_walk")
-    assert limits_of(LATTICE, walk, 30) == Limits(None, None, 30)
+    assert limits_of(LATTICE, walk, 30) == GridLimits(None, None, 30)
     # columns at 50 + 2 k from 0 to 98, rows at 40 + 2 k from 0 to 60
-    assert limits_of(LATTICE, Confined(walk, 99, 62), 30) == Limits((-25, 24), (-20, 10), 30)
-    assert limits_of(LATTICE, Confined(walk, 100, 61), 30) == Limits((-25, 24), (-20, 10), 30)
+    assert limits_of(LATTICE, Confined(walk, 99, 62), 30) == GridLimits((-25, 24), (-20, 10), 30)
+    assert limits_of(LATTICE, Confined(walk, 100, 61), 30) == GridLimits((-25, 24), (-20, 10), 30)
     coarse = Lattice((1.0, 1.0), 50.0, 0, 0, (4.0, 4.0), np.zeros(1), np.zeros(1))
-    assert limits_of(coarse, Confined(walk, 3, 2), 30) == Limits((0, 0), (0, 0), 30)
+    assert limits_of(coarse, Confined(walk, 3, 2), 30) == GridLimits((0, 0), (0, 0), 30)
 
 
 def test_a_window_around_a_place_is_even_and_cut_to_the_image(belief):
-    found = window_around(belief, np.array([50.0 + 2 * 7.2, 40.0 - 2 * 3.9]), Limits((-20, 8), None, 6))
+    found = window_around(belief, np.array([50.0 + 2 * 7.2, 40.0 - 2 * 3.9]), GridLimits((-20, 8), None, 6))
     assert (found.lattice.column, found.lattice.row) == (4, -7)
     assert found.mass.shape == (3, 3, 3, 6, 5)  # columns 4 .. 8 of 4 .. 9, rows -7 .. -2
     scales = belief.positions.sum(axis=(1, 2))
     np.testing.assert_allclose(found.positions, scales[:, None, None] * np.ones((6, 5)) / 30)
     np.testing.assert_allclose(found.mass.sum(axis=(0, 3, 4)), belief.first_velocities)
-    cut = window_around(belief, np.array([50.0 - 2 * 19, 40.0]), Limits((-20, 8), (-1, 9), 7))
+    cut = window_around(belief, np.array([50.0 - 2 * 19, 40.0]), GridLimits((-20, 8), (-1, 9), 7))
     assert (cut.lattice.column, cut.lattice.row, cut.mass.shape[3:]) == (-20, -1, (5, 5))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.grid.belief import GridFilter, judge_in_box, judge_on_image
-from bayesnet_track.belief.grid.cells import GridBelief, Lattice, Limits, Patch, log_gaussian
+from bayesnet_track.belief.grid.cells import GridBelief, GridLimits, Lattice, Patch, log_gaussian
 from bayesnet_track.belief.grid.motion import (
     Leap,
     Span,
@@ -147,7 +147,7 @@ def test_a_spread_is_that_of_anywhere_in_the_image_at_most(belief, motion_of):
     steps, shares = axis_steps(motion, belief.mean, 40.0)
     patch = Patch(belief.mass[0], 3, -4)
     change = _change(steps[0], VELOCITIES)
-    for limits in (Limits((0, 20), (-10, 10), 64), Limits(None, None, 16)):
+    for limits in (GridLimits((0, 20), (-10, 10), 64), GridLimits(None, None, 16)):
         step = _bound(0, patch, steps[0], (shares, change), LATTICE, limits)
         known = patch.mass.sum(axis=(0, 2))  # (V, columns)
         joint = change * known.sum(axis=1)
@@ -162,7 +162,7 @@ def test_a_spread_is_that_of_anywhere_in_the_image_at_most(belief, motion_of):
         assert spread == pytest.approx(most)
         assert step.second / step.first == pytest.approx(steps[0].second / steps[0].first)
     near = axis_steps(motion, belief.mean, 1.0)[0][1]
-    assert _bound(1, patch, near, (shares, change), LATTICE, Limits((0, 20), (-10, 10), 64)) is near
+    assert _bound(1, patch, near, (shares, change), LATTICE, GridLimits((0, 20), (-10, 10), 64)) is near
 
 
 # ------------------------------------------------------------------------------------ gaps
@@ -231,7 +231,7 @@ def test_a_leap_of_both_axes_keeps_all_mass_in_the_image(rng):
     down = Leap(np.array([-3.0, 0.0, 3.0]), np.array([-1.0, 0.0, 1.0]), change, 4.0)
     mass = rng.random((3, 3, 3, 4))
     mass /= mass.sum()
-    found = leapt(Patch(mass, 5, -2), [across], [down], np.ones(1), Limits((-10, 30), (-20, 20), 200))
+    found = leapt(Patch(mass, 5, -2), [across], [down], np.ones(1), GridLimits((-10, 30), (-20, 20), 200))
     assert found.mass.sum() == pytest.approx(1.0, abs=1e-6)
     assert (found.column, found.mass.shape[3]) == (-10, 41)
     np.testing.assert_allclose(
@@ -250,10 +250,10 @@ def test_a_leap_of_both_axes_keeps_all_mass_in_the_image(rng):
         [across] * 2,
         [down] * 2,
         np.array([0.25, 0.75]),
-        Limits((-10, 30), (-20, 20), 200),
+        GridLimits((-10, 30), (-20, 20), 200),
     )
     np.testing.assert_allclose(two.mass, found.mass, atol=1e-12)
-    free = leapt(Patch(mass, 5, -2), [across], [down], np.ones(1), Limits(None, None, 400))
+    free = leapt(Patch(mass, 5, -2), [across], [down], np.ones(1), GridLimits(None, None, 400))
     assert free.mass.sum() == pytest.approx(1.0, abs=1e-6) and free.mass.shape[3] > 41
 
 
@@ -327,7 +327,7 @@ def test_gamma_is_the_evidence_over_the_mean_likelihood(belief):
 
 
 def test_the_image_is_judged_at_places_of_its_own(belief):
-    place, limits = np.array([60.0, 30.0]), Limits((-5, 10), (-8, 6), 32)
+    place, limits = np.array([60.0, 30.0]), GridLimits((-5, 10), (-8, 6), 32)
     asked = []
 
     def ask(states):
@@ -352,5 +352,7 @@ def test_the_image_is_judged_at_places_of_its_own(belief):
         ).report
         is None
     )
-    free = judge_on_image(spec.Reset(region="image", below=1.0), belief, Limits(None, None, 32), -9.0, ask)
+    free = judge_on_image(
+        spec.Reset(region="image", below=1.0), belief, GridLimits(None, None, 32), -9.0, ask
+    )
     assert free.report is None and len(asked) == 2

@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.grid.belief import GridFilter, judge_on_image
-from bayesnet_track.belief.grid.cells import GridBelief, Lattice, Limits
+from bayesnet_track.belief.grid.cells import GridBelief, GridLimits, Lattice
 from bayesnet_track.belief.grid.motion import predict_grid
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.graph import spec
@@ -140,7 +140,7 @@ class SeenBoxes:
 
 
 BELOW = spec.Reset(region="image", below=1.0)
-WIDE = Limits((0, 199), (0, 99), 32)
+WIDE = GridLimits((0, 199), (0, 99), 32)
 
 
 def test_a_large_image_is_judged_at_every_third_place_from_its_middle():
@@ -150,9 +150,9 @@ def test_a_large_image_is_judged_at_every_third_place_from_its_middle():
     assert sorted(set(states[:, 0])) == list(range(0, 200, 3))
     assert sorted(set(states[:, 1])) == list(range(0, 100, 3))
     assert verdict.report(1, "1").region_px2 == 20000
-    _, (states,) = coarse(BELOW, np.array([60.0, 30.0]), Limits((0, 198), (0, 99), 32), -9.0)
+    _, (states,) = coarse(BELOW, np.array([60.0, 30.0]), GridLimits((0, 198), (0, 99), 32), -9.0)
     assert max(states[:, 0]) == 198 and max(states[:, 1]) == 99  # the last ones belong to the image
-    _, (states,) = coarse(BELOW, np.array([60.0, 30.0]), Limits((0, 200), (1, 99), 32), -9.0)
+    _, (states,) = coarse(BELOW, np.array([60.0, 30.0]), GridLimits((0, 200), (1, 99), 32), -9.0)
     assert min(states[:, 0]) == 1 and max(states[:, 0]) == 199  # 200 = 66 * 3 + 2: one left out on each side
     assert min(states[:, 1]) == 2 and max(states[:, 1]) == 98
 
@@ -160,8 +160,8 @@ def test_a_large_image_is_judged_at_every_third_place_from_its_middle():
 @pytest.mark.parametrize(
     ("limits", "spoil"),
     [
-        (Limits(None, (0, 99), 32), None),
-        (Limits((0, 199), None, 32), None),
+        (GridLimits(None, (0, 99), 32), None),
+        (GridLimits((0, 199), None, 32), None),
         (WIDE, lambda found: Evidence(found.log_likelihood, faults={"a": "broken"})),
         (WIDE, lambda found: Evidence(np.full(len(found.log_likelihood), -np.inf))),
     ],

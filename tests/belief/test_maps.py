@@ -5,7 +5,7 @@ import numpy as np
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.particles.belief import ParticleFilter, find_maps
+from bayesnet_track.belief.particles.belief import ParticleFilter, find_map_states
 from bayesnet_track.graph import spec
 
 
@@ -32,7 +32,7 @@ def steps(shift=0.0):
 
 def test_together_and_alone_find_the_same_hypothesis():
     together = steps()
-    find_maps(together)
+    find_map_states(together)
     assert ["map_state" in one.__dict__ for one in together] == [True, True, True]
     for one, alone in zip(together, steps(), strict=True):
         assert one.map_state.tolist() == alone.map_state.tolist()
@@ -40,7 +40,7 @@ def test_together_and_alone_find_the_same_hypothesis():
 
 def test_a_step_of_which_no_density_is_above_zero_looks_further_by_itself():
     together = steps(1e4)
-    find_maps(together)
+    find_map_states(together)
     for one, alone in zip(together, steps(1e4), strict=True):
         assert "map_state" not in one.__dict__
         assert one.map_state.tolist() == alone.map_state.tolist()

@@ -8,14 +8,14 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
-from bayesnet_track.belief.particles.fitted import flatten
+from bayesnet_track.belief.particles.fitted import flatten_to_ess
 from bayesnet_track.belief.particles.importance import (
     auxiliary_pass,
     combine,
     edit,
     mixture_pass,
     proposal_of,
-    select,
+    select_hypotheses,
 )
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.proposals import (
@@ -156,7 +156,7 @@ def test_a_part_of_a_pass_has_its_part_of_all_evidence():
     latent = {"n": Hypotheses(np.arange(16.0).reshape(4, 4), {"v": np.arange(4.0)})}
     evidence = Evidence(np.arange(4.0), {"a": np.arange(4.0) + 10}, latent, sampled=np.arange(4.0) + 20)
     one = WeightedSample(np.arange(20.0).reshape(4, 5), -np.arange(4.0), np.array([3, 2, 1, 0]), evidence)
-    part = select(one, np.array([2, 0]))
+    part = select_hypotheses(one, np.array([2, 0]))
     assert part.states.tolist() == [[10, 11, 12, 13, 14], [0, 1, 2, 3, 4]]
     assert part.prior_log.tolist() == [-2, 0] and part.ancestors.tolist() == [1, 3]
     assert part.evidence.log_likelihood.tolist() == [2, 0] and part.evidence.messages["a"].tolist() == [
@@ -167,7 +167,7 @@ def test_a_part_of_a_pass_has_its_part_of_all_evidence():
     assert part.evidence.latent["n"].fields["v"].tolist() == [2, 0]
     assert part.evidence.sampled.tolist() == [22, 20]
     assert (
-        select(
+        select_hypotheses(
             WeightedSample(one.states, one.prior_log, one.ancestors, Evidence(np.arange(4.0))), [1]
         ).evidence.sampled
         is None
@@ -390,10 +390,10 @@ def test_directions_of_which_nothing_is_told_get_no_precision(rng):
 def test_a_sharp_likelihood_is_flattened_until_enough_count_and_sharpened_twice_at_most(rng):
     points = rng.normal(0, 1, (100, 1))
     beta, log = LogWeights.uniform(100), -0.5 * ((points[:, 0] - 2.5) / 0.02) ** 2
-    power, weights = flatten(beta, log, 25.0)
+    power, weights = flatten_to_ess(beta, log, 25.0)
     assert weights.ess >= 25.0 > beta.times(power / 0.8 * log)[0].ess
     assert np.log(power) / np.log(0.8) == pytest.approx(round(np.log(power) / np.log(0.8)))
-    assert flatten(beta, 0.01 * log / 2500, 25.0)[0] == 1.0
+    assert flatten_to_ess(beta, 0.01 * log / 2500, 25.0)[0] == 1.0
     message = fit_message(points, beta, log)
     mild = fit_message(points, beta, power * log, effective=1)
     np.testing.assert_allclose(message.precision, STRETCH * mild.precision, rtol=1e-6)

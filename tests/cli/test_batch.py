@@ -17,7 +17,7 @@ import pytest
 
 from bayesnet_track import track
 from bayesnet_track.cli.batch import places
-from bayesnet_track.cli.batch.jobs import BatchError, Job, Video, allow, read_list, videos_of
+from bayesnet_track.cli.batch.jobs import BatchError, BatchVideo, Job, allow_job, read_list, videos_of
 from bayesnet_track.cli.batch.work import ROW, do
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation import plugins
@@ -62,7 +62,7 @@ def test_patterns_name_videos_and_their_files(data: Path) -> None:
 )
 def test_a_list_is_csv_or_json_lines(tmp_path: Path, text: str) -> None:
     (tmp_path / "list").write_text(text)
-    assert read_list(tmp_path / "list") == [Video("a.mp4", "first", "1,2,3,4"), Video("b.mp4", "b")]
+    assert read_list(tmp_path / "list") == [BatchVideo("a.mp4", "first", "1,2,3,4"), BatchVideo("b.mp4", "b")]
 
 
 @pytest.mark.parametrize("text", ["", "source\n", "src\na\n", "{x", '{"source": 1}', "source,init\n,1\n"])
@@ -74,7 +74,7 @@ def test_a_malformed_list_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_a_job_is_begun_gone_on_with_and_found_finished(data: Path, tmp_path: Path) -> None:
     truth = str(data / "one" / "groundtruth.txt")
-    video = Video(str(data / "one" / "img"), "one", None, truth, truth)
+    video = BatchVideo(str(data / "one" / "img"), "one", None, truth, truth)
     job = Job("two_squares", video, 0, str(tmp_path / "run"))
     assert Job.from_json(job.to_json()) == job
     box = tuple(float(value) for value in make_scene("two_squares", 0).truth[0])
@@ -91,7 +91,9 @@ def test_a_job_is_begun_gone_on_with_and_found_finished(data: Path, tmp_path: Pa
 
 def test_a_run_that_was_asked_for_otherwise_is_not_taken_for_this_one(data: Path, tmp_path: Path) -> None:
     truth = str(data / "one" / "groundtruth.txt")
-    job = Job("two_squares", Video(str(data / "one" / "img"), "one", None, truth), 0, str(tmp_path / "run"))
+    job = Job(
+        "two_squares", BatchVideo(str(data / "one" / "img"), "one", None, truth), 0, str(tmp_path / "run")
+    )
     do(job, lambda done, expected: None)
     folder = tmp_path / "run"
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -104,7 +106,7 @@ def test_a_run_that_was_asked_for_otherwise_is_not_taken_for_this_one(data: Path
         ({"end": 5}, "end none, now 5"),
         ({"on_resize": "rescale"}, "on_resize stop, now rescale"),
         ({"max_side": 160}, "max_side none, now 160"),
-        ({"video": Video(other, "one", None, truth)}, f"source .*one/img, now {other}"),
+        ({"video": BatchVideo(other, "one", None, truth)}, f"source .*one/img, now {other}"),
         ({"video": replace(job.video, init="1,2,30,40", init_from=None)}, "start"),
     ]:
         with pytest.raises(BatchError, match=f"{folder}: .*{what}.*another --out"):
@@ -117,7 +119,9 @@ def test_ground_truth_of_several_targets_is_refused_before_anything_is_tracked(
 ) -> None:
     many = tmp_path / "many.txt"
     many.write_text("1,1,9,9,20,20,1,1,1\n1,2,40,40,20,20,1,1,1\n")
-    video = Video(str(data / "one" / "img"), "one", None, str(data / "one" / "groundtruth.txt"), str(many))
+    video = BatchVideo(
+        str(data / "one" / "img"), "one", None, str(data / "one" / "groundtruth.txt"), str(many)
+    )
     with pytest.raises(
         ValueError, match=r"boxes of 2 targets .*; nothing was tracked\. .*`score RUN --truth"
     ):
@@ -127,7 +131,9 @@ def test_ground_truth_of_several_targets_is_refused_before_anything_is_tracked(
 
 def test_a_run_that_another_process_writes_is_left_alone(data: Path, tmp_path: Path) -> None:
     truth = str(data / "one" / "groundtruth.txt")
-    job = Job("two_squares", Video(str(data / "one" / "img"), "one", None, truth), 0, str(tmp_path / "run"))
+    job = Job(
+        "two_squares", BatchVideo(str(data / "one" / "img"), "one", None, truth), 0, str(tmp_path / "run")
+    )
     with lock_run(RunDirectory.create(job.out)):
         with pytest.raises(RunDirectoryError, match="another process is writing this run"):
             do(job, lambda done, expected: None)
@@ -149,7 +155,7 @@ def test_a_job_that_begins_while_the_batch_is_ended_ends_with_it(
             begun.append(self)
 
     monkeypatch.setattr(places.subprocess, "Popen", Late)
-    running = places.Processes(1).run([Job("g", Video("v", "v"), 0, str(tmp_path))])
+    running = places.Processes(1).run([Job("g", BatchVideo("v", "v"), 0, str(tmp_path))])
     next(running)
     assert has_begun.wait(10.0)
     threading.Timer(0.2, may_go_on.set).start()
@@ -207,8 +213,8 @@ def test_a_batch_without_start_boxes_is_a_mistake(
 def test_a_job_takes_its_cue_files_to_its_process(tmp_path):
     file = tmp_path / "plain.py"
     file.write_text("from bayesnet_track import CueDeclaration\nCUE = CueDeclaration('plain', make=object)\n")
-    job = Job("general", Video("a.mkv", "a"), 0, "out", cue_files=(str(file),))
+    job = Job("general", BatchVideo("a.mkv", "a"), 0, "out", cue_files=(str(file),))
     assert Job.from_json(job.to_json()) == job
-    allow(job)
+    allow_job(job)
     assert "plain" in installed_cues()
     plugins.forget()

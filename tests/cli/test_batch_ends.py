@@ -17,16 +17,16 @@ import cv2
 import pytest
 
 from bayesnet_track.cli.batch import places
-from bayesnet_track.cli.batch.jobs import BatchError, Job, Video
-from bayesnet_track.cli.batch.places import Processes, Progress, most_runs
-from bayesnet_track.cli.batch.results import BatchProgress, Results, Silence
+from bayesnet_track.cli.batch.jobs import BatchError, BatchVideo, Job
+from bayesnet_track.cli.batch.places import JobProgress, Processes, most_runs
+from bayesnet_track.cli.batch.results import BatchProgress, BatchTable, Silence
 from bayesnet_track.cli.batch.work import FINISHED, failed_row
 from bayesnet_track.cli.main import main
 from bayesnet_track.sources.scenes.library import SceneSource, make_scene
 
 
 def job(name, seed=0):
-    return Job("g", Video("v", name), seed, name)
+    return Job("g", BatchVideo("v", name), seed, name)
 
 
 def rows_of(place, *jobs):
@@ -91,24 +91,24 @@ def read(path):
 
 
 def finished(one):
-    return Progress(one, row=failed_row(one, "") | {"status": FINISHED})
+    return JobProgress(one, row=failed_row(one, "") | {"status": FINISHED})
 
 
 def test_the_table_keeps_what_was_there_and_grows_while_the_batch_runs(tmp_path, monkeypatch):
     path, jobs = tmp_path / "results.csv", [job("a"), job("b")]
-    with Results(path, []) as results:
+    with BatchTable(path, []) as results:
         pass
     assert read(path) == []
-    with Results(path, [job("a"), job("z")]) as results:
-        results.add(Progress(job("a"), row=failed_row(job("a"), "x")))
+    with BatchTable(path, [job("a"), job("z")]) as results:
+        results.add(JobProgress(job("a"), row=failed_row(job("a"), "x")))
         results.add(finished(job("z")))
     before = path.read_bytes()
-    with pytest.raises(KeyboardInterrupt), Results(path, jobs) as results:
+    with pytest.raises(KeyboardInterrupt), BatchTable(path, jobs) as results:
         results.add(None)
         raise KeyboardInterrupt
     assert path.read_bytes() == before, "an early Ctrl-C leaves it alone"
     monkeypatch.setattr("bayesnet_track.cli.batch.results.EVERY_S", 0.0)
-    with Results(path, jobs) as results:
+    with BatchTable(path, jobs) as results:
         results.add(finished(job("b")))
         assert read(path) == [("a", "0", "failed"), ("b", "0", "finished"), ("z", "0", "finished")]
         assert [row["video"] for row in results.rows()] == ["b"], "what this batch has done"
@@ -119,7 +119,7 @@ def test_a_file_that_is_no_table_is_not_written_over(tmp_path, text):
     path = tmp_path / "results.csv"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(BatchError, match="not a table of results"):
-        Results(path, [])
+        BatchTable(path, [])
     assert path.read_bytes() == text.encode("latin-1")
 
 
@@ -137,12 +137,12 @@ def test_progress_says_how_many_are_done_and_how_long_the_rest_takes(monkeypatch
 
 def test_a_silence_is_said_once_until_it_ends():
     silence = Silence(0.0)
-    assert silence.hear(Progress(job("a")), 0.0) == [] and silence.hear(None, 59.0) == []
-    assert silence.hear(Progress(job("b"), 12, 100), 59.0) == []
+    assert silence.hear(JobProgress(job("a")), 0.0) == [] and silence.hear(None, 59.0) == []
+    assert silence.hear(JobProgress(job("b"), 12, 100), 59.0) == []
     assert silence.hear(None, 60.0) == ["a seed 0: no progress for 60 s, frame 0"]
     assert silence.hear(None, 119.0) == ["b seed 0: no progress for 60 s, frame 12/100"]
     assert silence.hear(None, 500.0) == []
-    assert silence.hear(Progress(job("a"), 3), 500.0) == []
+    assert silence.hear(JobProgress(job("a"), 3), 500.0) == []
     assert silence.hear(None, 561.0) == ["a seed 0: no progress for 61 s, frame 3"]
     for name in ("a", "b"):
         silence.hear(finished(job(name)), 600.0)
@@ -182,7 +182,12 @@ def test_a_process_leaves_nothing_of_a_video_to_the_next_one(tmp_path, monkeypat
     def tracked(where, order):
         top = tmp_path / where
         jobs = [
-            Job(graph, Video(str(tmp_path / scene), scene, init="60,50,40,40"), 3, str(top / graph / scene))
+            Job(
+                graph,
+                BatchVideo(str(tmp_path / scene), scene, init="60,50,40,40"),
+                3,
+                str(top / graph / scene),
+            )
             for graph, scene in order
         ]
         rows = rows_of(Processes(1), *jobs)

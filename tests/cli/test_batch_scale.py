@@ -13,9 +13,9 @@ import cv2
 import pytest
 
 from bayesnet_track.cli.batch import work
-from bayesnet_track.cli.batch.jobs import Job, Part, Video
-from bayesnet_track.cli.batch.places import Needs, Processes, Progress
-from bayesnet_track.cli.batch.results import Ledger, Results, overview
+from bayesnet_track.cli.batch.jobs import BatchVideo, Job, Part
+from bayesnet_track.cli.batch.places import JobProgress, Needs, Processes
+from bayesnet_track.cli.batch.results import BatchTable, Ledger, overview
 from bayesnet_track.cli.batch.work import ROW, do, failed_row
 from bayesnet_track.cli.main import main
 from bayesnet_track.runtime.executors.workers import PlacingError
@@ -48,7 +48,7 @@ class Here:
                 row = do(job, lambda done, expected: None)
             except ValueError as error:
                 row = failed_row(job, str(error))
-            yield Progress(job, row=row)
+            yield JobProgress(job, row=row)
 
 
 @pytest.fixture
@@ -117,21 +117,23 @@ def test_changed_ground_truth_is_scored_with_again(videos, here):
 def test_a_batch_that_is_killed_loses_no_row(videos, tmp_path):
     """Results that are never left, as by a kill: what is on the disk counts, but for a torn line."""
     jobs = [
-        Job("two_squares", Video(str(videos / "data" / name), name, BOX), 0, str(tmp_path / "out" / name))
+        Job(
+            "two_squares", BatchVideo(str(videos / "data" / name), name, BOX), 0, str(tmp_path / "out" / name)
+        )
         for name in NAMES
     ]
 
-    def results() -> Results:
-        return Results(tmp_path / "out" / "results.csv", jobs, Ledger(tmp_path / "out", "whole", "graph"))
+    def results() -> BatchTable:
+        return BatchTable(tmp_path / "out" / "results.csv", jobs, Ledger(tmp_path / "out", "whole", "graph"))
 
     killed = results()
     for job in jobs[:2]:
-        killed.add(Progress(job, row=do(job, lambda done, expected: None)))
+        killed.add(JobProgress(job, row=do(job, lambda done, expected: None)))
     ledger = tmp_path / "out" / ".batch" / "whole.jsonl"
     ledger.write_bytes(ledger.read_bytes()[:-9])
     again = results()
     assert again.todo == jobs[1:] and [row["video"] for row in again.rows()] == ["a"]
-    again.add(Progress(jobs[1], row=do(jobs[1], lambda done, expected: None)))
+    again.add(JobProgress(jobs[1], row=do(jobs[1], lambda done, expected: None)))
     assert results().todo == jobs[2:]
 
 
@@ -160,7 +162,7 @@ def test_a_part_without_a_video_is_refused(videos, capsys):
 
 
 def test_parts_are_all_videos_once() -> None:
-    videos = [Video(f"{n}.mp4", str(n)) for n in range(103)]
+    videos = [BatchVideo(f"{n}.mp4", str(n)) for n in range(103)]
     parts = [Part(k, 8).select(videos) for k in range(1, 9)]
     assert sorted((one for part in parts for one in part), key=videos.index) == videos
     assert {len(part) for part in parts} == {12, 13}
@@ -170,8 +172,8 @@ def test_the_largest_come_first_and_equal_ones_in_their_order(tmp_path: Path) ->
     for name, size in (("small", 10), ("large", 1000), ("same", 10)):
         (tmp_path / name).write_bytes(b"x" * size)
     names = ["small", "missing", "large", "same"]
-    jobs = [Job("g", Video(str(tmp_path / name), name), 0, name) for name in names]
-    assert [job.out for job in Results(tmp_path / "results.csv", jobs).todo] == [
+    jobs = [Job("g", BatchVideo(str(tmp_path / name), name), 0, name) for name in names]
+    assert [job.out for job in BatchTable(tmp_path / "results.csv", jobs).todo] == [
         "large",
         "small",
         "same",
@@ -202,7 +204,9 @@ def test_a_batch_ends_with_a_mean_and_a_page(videos, here, capsys):
     (videos / "data" / "bad<b>" / "img").mkdir(parents=True)
     (videos / "data" / "bad<b>" / "img" / "0.png").write_bytes(b"no image")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Here, "run", lambda self, place, jobs: (Progress(job, row=_row(job)) for job in jobs))
+        patch.setattr(
+            Here, "run", lambda self, place, jobs: (JobProgress(job, row=_row(job)) for job in jobs)
+        )
         assert batch(videos) == 5
     told = capsys.readouterr().out
     assert re.search(r"^mean: frames 5, ", told, re.MULTILINE)

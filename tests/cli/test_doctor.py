@@ -15,7 +15,7 @@ import pytest
 
 import bayesnet_track
 from bayesnet_track.cli import doctor
-from bayesnet_track.cli.doctor import Finding, try_code
+from bayesnet_track.cli.doctor import CheckResult, try_code
 
 ROOT = Path(__file__).parents[2]
 
@@ -195,7 +195,7 @@ def test_plug_ins_that_cannot_be_loaded_and_those_that_are_not_even_there(site):
 
 def test_a_check_that_fails_is_a_finding(monkeypatch):
     def check_the_moon():
-        yield Finding("moon", "ok", "up")
+        yield CheckResult("moon", "ok", "up")
         raise OSError("gone")
 
     monkeypatch.setattr(doctor, "CHECKS", (check_the_moon,))
@@ -204,7 +204,7 @@ def test_a_check_that_fails_is_a_finding(monkeypatch):
 
 @pytest.mark.parametrize(("level", "code"), [("ok", 0), ("note", 0), ("broken", 1)])
 def test_the_exit_code(monkeypatch, capsys, level, code):
-    monkeypatch.setattr(doctor, "examine", lambda: iter([Finding("moon", level, "here", "look up")]))
+    monkeypatch.setattr(doctor, "examine", lambda: iter([CheckResult("moon", level, "here", "look up")]))
     assert doctor.doctor(Namespace(json=False)) == code
     assert "moon          here\n                     → look up\n" in capsys.readouterr().out
     assert doctor.doctor(Namespace(json=True)) == code

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bayesnet_track.cli.following import SHOWN_NOTICES, as_sentence, follow, say_end, say_next
+from bayesnet_track.cli.following import SHOWN_NOTICES, as_sentence, follow_run, say_end, say_next
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.runs import FramesMissing
 from bayesnet_track.runtime.results import Summary
@@ -21,7 +21,7 @@ from bayesnet_track.runtime.stop import StopRequest
 def test_the_exit_code_tells_whether_all_was_read(capsys, complete, reason, code):
     summary = Summary(12, 1, 0, complete, reason, 2.0, 0.0, 30.0, [FramesMissing(n, 2.0) for n in range(7)])
     options = Namespace(command="run", quiet=False, verbose=False, log_json=False, stop=StopRequest())
-    assert follow(options, (_ for _ in ()), summary, 12, Path("runs/a")) == code
+    assert follow_run(options, (_ for _ in ()), summary, 12, Path("runs/a")) == code
     said = capsys.readouterr()
     assert (
         "runs/a: 12 frames in 2.0 s (30 frames per second after the first), 1 reconfiguration"
@@ -39,7 +39,7 @@ def test_only_a_process_of_its_own_keeps_what_is_loaded_from_the_garbage_collect
     options = Namespace(command="demo", quiet=True, verbose=False, log_json=False, stop=StopRequest())
     options.owns_process = owns_process
     summary = Summary(3, 0, 0, True, "end_of_source", 2.0, 0.0, 30.0, [])
-    assert follow(options, (None for _ in range(3)), summary, 3, Path("runs/a")) == 0
+    assert follow_run(options, (None for _ in range(3)), summary, 3, Path("runs/a")) == 0
     assert len(frozen) == owns_process  # once, not in every frame
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bayesnet_track.cli.batch.jobs import Job, Video
+from bayesnet_track.cli.batch.jobs import BatchVideo, Job
 from bayesnet_track.cli.batch.places import Needs
 from bayesnet_track.cli.batch.ray_place import RayTasks
 from bayesnet_track.cli.main import main
@@ -69,7 +69,8 @@ def test_progress_and_notices_of_tasks_are_told(tmp_path: Path) -> None:
     (tmp_path / "img" / "scan.heic").write_bytes(b"")  # an image that is not read
     box = "{:g},{:g},{:g},{:g}".format(*scene.start_box)
     jobs = [
-        Job("two_squares", Video(str(tmp_path / "img"), name, box), 0, str(tmp_path / name)) for name in "ab"
+        Job("two_squares", BatchVideo(str(tmp_path / "img"), name, box), 0, str(tmp_path / name))
+        for name in "ab"
     ]
     reports = [report for report in RayTasks(needs=Needs(1, 100 << 20)).run(jobs) if report is not None]
     for job in jobs:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bayesnet_track.cli.parser import make_parser, nearest, suggest
+from bayesnet_track.cli.parser import make_parser, suggest, suggest_nearest
 
 
 def test_a_suggestion_of_argparse_is_replaced_by_ours():
@@ -12,8 +12,8 @@ def test_a_suggestion_of_argparse_is_replaced_by_ours():
 
 
 def test_the_nearest_name_or_nothing():
-    assert nearest("--vidoe", ["--video", "--view"]) == "; did you mean --video?"
-    assert nearest("--zzz", ["--video", "--view"]) == ""
+    assert suggest_nearest("--vidoe", ["--video", "--view"]) == "; did you mean --video?"
+    assert suggest_nearest("--zzz", ["--video", "--view"]) == ""
 
 
 @pytest.mark.parametrize(

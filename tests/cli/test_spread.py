@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.cli.commands.tracking import spread_of, spread_over_seeds, spread_text
+from bayesnet_track.cli.commands.tracking import seed_spread, spread_over_seeds, spread_text
 
 
 def test_the_interval_holds_the_true_mean_as_often_as_it_says():
     drawn = np.random.default_rng(11).normal(0.7, 0.05, (2000, 5))
-    spreads = [spread_of(list(map(float, row))) for row in drawn]
+    spreads = [seed_spread(list(map(float, row))) for row in drawn]
     share = np.mean([one.low <= 0.7 <= one.high for one in spreads])
     assert abs(share - 0.95) < 4 * np.sqrt(0.95 * 0.05 / 2000)
 
 
 def test_one_seed_has_no_interval():
-    one = spread_of([0.5])
+    one = seed_spread([0.5])
     assert (one.mean, one.low, one.high, one.least, one.most) == (0.5, None, None, 0.5, 0.5)
-    assert spread_of([2.0, 2.0, 2.0]).low == 2.0
+    assert seed_spread([2.0, 2.0, 2.0]).low == 2.0
 
 
 def test_seeds_are_compared_over_the_videos_that_all_have():

@@ -10,7 +10,7 @@ from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.lifecycle.confirming import with_belief
-from bayesnet_track.engine.lifecycle.ends import remember
+from bayesnet_track.engine.lifecycle.ends import memory_of
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.sensing import gate_boxes as gate
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
@@ -334,5 +334,5 @@ def test_a_target_starts_and_is_remembered_with_the_belief_that_it_has(graph):
     assert born.existence == 0.93
     np.testing.assert_array_equal(born.belief.mean, mean)
     np.testing.assert_array_equal(born.belief.covariance, spread)
-    memory = remember(LiveTable.of(None, done), target, "target")
+    memory = memory_of(LiveTable.of(None, done), target, "target")
     np.testing.assert_array_equal(memory.mean, done.state.history.records[target].mean)

@@ -6,7 +6,7 @@ import pytest
 import bayesnet_track.engine.rows.on_others as on_others
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.rows.filtered_rows import Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.rows.particle_rows import filter_rows
 from bayesnet_track.observation.planes import FramePair, PlaneCache
 from tests.engine.test_particle_rows import frame, started
@@ -19,7 +19,11 @@ def work_and_targets():
     engine, state = started()
     work = FrameContext(engine, state.net, PlaneCache(FramePair(frame(1), None)), state.history.births)
     alone = {target: filter_target(work, target, one) for target, one in state.targets.items()}
-    return work, Together(filter_rows(work, state.targets), {}, [*alone]), Together([], alone, [*alone])
+    return (
+        work,
+        FilteredTargets(filter_rows(work, state.targets), {}, [*alone]),
+        FilteredTargets([], alone, [*alone]),
+    )
 
 
 def _fail(work, group, hypotheses, starts):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from bayesnet_track import load_graph
-from bayesnet_track.adapt.association import GAP, UNASSIGNED, Layout, first_observed
+from bayesnet_track.adapt.association import GAP, UNASSIGNED, PartColumns, first_observed
 from bayesnet_track.engine.lifecycle.assigning import TENTATIVE, name_owners
 from bayesnet_track.engine.lifecycle.sharing import (
     Predict,
-    Tracks,
-    follow,
+    TrackArrays,
+    follow_owners,
     own_detections,
     re_update,
     start_tentative,
@@ -50,7 +50,7 @@ def test_a_gap_is_filtered_anew_along_the_line_between_two_detections():
     mean = np.array([100.0, 50, 20, 40, 1, 0, 0, 0])
     covariance = np.diag([1.0, 1, 4, 4, 2, 2, 1, 1])
     last, new = np.array([100.0, 50, 20, 40]), np.array([103.0, 56.0, 23.0, 40.0])
-    row, layout = first_observed(RULE, last[None], 8)[0], Layout.of(RULE, 8)
+    row, layout = first_observed(RULE, last[None], 8)[0], PartColumns.of(RULE, 8)
     row[GAP], row[layout.mean], row[layout.covariance] = 2.0, mean, covariance.ravel()
     found = re_update(RULE, row, new, 8, predict)
     for virtual in (last + (new - last) / 3, last + 2 * (new - last) / 3):  # the two frames that were missed
@@ -63,7 +63,7 @@ def test_a_gap_is_filtered_anew_along_the_line_between_two_detections():
 @pytest.mark.parametrize(("gap", "elapsed"), [(2.0, 1.0), (2.4, 6.6), (1.5, 0.5), (0.4, 0.1)])
 def test_a_gap_is_filtered_anew_over_its_time(gap, elapsed):
     """A target that moves as its motion says stays where it is, whenever frames come, as does its speed."""
-    mean, layout = np.array([100.0, 50, 20, 40, 2, 1, 0, 0]), Layout.of(RULE, 8)
+    mean, layout = np.array([100.0, 50, 20, 40, 2, 1, 0, 0]), PartColumns.of(RULE, 8)
     row = first_observed(RULE, mean[None, :4], 8)[0]
     row[GAP], row[layout.mean], row[layout.covariance] = gap, mean, np.eye(8).ravel()
     new, _ = over(mean[None], np.eye(8)[None], gap + elapsed)
@@ -72,16 +72,20 @@ def test_a_gap_is_filtered_anew_over_its_time(gap, elapsed):
 
 
 def test_only_tracks_seen_again_are_filtered_anew():
-    layout = Layout.of(RULE, 8)
+    layout = PartColumns.of(RULE, 8)
     observed = first_observed(RULE, np.tile([100.0, 50, 20, 40], (3, 1)), 8)
     observed[1:, GAP] = 3.0
     observed[1:, layout.mean] = [100.0, 50, 20, 40, 0, 0, 0, 0]
     observed[1:, layout.covariance] = np.eye(8).ravel()
-    before = Tracks(np.tile([140.0, 50, 20, 40, 9, 0, 0, 0], (3, 1)), np.tile(np.eye(8), (3, 1, 1)), observed)
-    expected = Tracks(*predict(before.mean, before.covariance), observed)
+    before = TrackArrays(
+        np.tile([140.0, 50, 20, 40, 9, 0, 0, 0], (3, 1)), np.tile(np.eye(8), (3, 1, 1)), observed
+    )
+    expected = TrackArrays(*predict(before.mean, before.covariance), observed)
     owner = np.array([0, 1, UNASSIGNED])
     seen = np.tile([100.0, 50, 20, 40], (2, 1))
-    after, changed = follow(RULE, before, expected, owner, own_detections(owner, seen, np.ones(2)), predict)
+    after, changed = follow_owners(
+        RULE, before, expected, owner, own_detections(owner, seen, np.ones(2)), predict
+    )
     assert list(changed) == [1]
     assert after.mean[:, 0].round(6).tolist() == [149.0, 100.0, 149.0]
     assert after.observed[:, GAP].tolist() == [0.0, 0.0, 4.0]
@@ -92,7 +96,7 @@ def test_a_tentative_track_is_filtered_and_given_up():
     one = start_tentative(RULE, moments[0][:4], 0.8, (5, "birth"), moments)
     own = np.array([[102.0, 50, 20, 40, 0.6]])
     expected = predict(one.mean[None], one.covariance[None])
-    after = Tracks(*expected, one.observed[None])
+    after = TrackArrays(*expected, one.observed[None])
     variances = np.array([[1.0, 1, 4, 4]])
     (seen,) = update_tentative([one], after, own, variances, Confirm(hits=3, of=3))
     mean, covariance = book_update(expected[0][0], expected[1][0], own[0, :4])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import load_graph
-from bayesnet_track.belief.particles.belief import find_maps, map_index
+from bayesnet_track.belief.particles.belief import find_map_states, map_index
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lines import Lines
@@ -71,7 +71,7 @@ def test_targets_measured_together_are_measured_as_alone(motion, agents):
     plate = work.plate_of("0").plate
     steps = [one.step for one in found.values()]
     assert is_flat(plate)
-    find_maps(steps)
+    find_map_states(steps)
     for step in steps:
         find = step.find_map
         best = map_index(

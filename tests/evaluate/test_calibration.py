@@ -15,7 +15,7 @@ from bayesnet_track.evaluate.calibration import (
     auroc,
     below_on_target,
     brier,
-    fit,
+    fit_calibration,
     fit_levels,
     fit_localization_error,
     fit_logistic,
@@ -117,7 +117,10 @@ def calibration_data(video, seed, n=400):
 
 def test_regions_are_fitted_to_the_score_that_stays():
     data = [replace(calibration_data(name, k), scores=np.ones(400)) for k, name in enumerate("ab")]
-    (sd, _), kept = fit(data).localization_error, fit(data, keep_score=True).localization_error
+    (sd, _), kept = (
+        fit_calibration(data).localization_error,
+        fit_calibration(data, keep_score=True).localization_error,
+    )
     # A score that is always 1 leaves the frames off target to the first sd.
     assert kept[0] > 1.5 * sd
 
@@ -129,7 +132,7 @@ def test_a_feature_only_speaks_for_what_it_can(name):
     against = {"log_ud_box", "log_size", "border"}
     for slope in (1.0, -1.0):
         features = {**one.features, name: slope * one.features["log_ud_box"]}  # which is low on target
-        coefficient = fit([replace(one, features=features)], (name,)).logistic[name]
+        coefficient = fit_calibration([replace(one, features=features)], (name,)).logistic[name]
         assert (coefficient == 0.0) == ((name in against) == (slope < 0.0))
 
 
@@ -147,7 +150,7 @@ def test_frames_without_a_box_are_off_target_and_say_nothing_of_the_centre():
         **{name: getattr(one, name)[~away] for name in present},
     )
     assert gone.seen.sum() == 300 and rest.seen.all()
-    found, without = fit([gone], keep_score=True), fit([rest], keep_score=True)
+    found, without = fit_calibration([gone], keep_score=True), fit_calibration([rest], keep_score=True)
     assert found.localization_error == without.localization_error
     # A quarter of the frames is off target, whatever their features: the score is less sure at every UD.
     for ud in (-5.0, -3.0):
@@ -175,10 +178,10 @@ def test_what_cannot_be_fitted_is_said():
         "a", np.full(400, 0.9), one.features, one.ud_box, one.offsets, one.scores, one.status
     )
     with pytest.raises(ValueError, match="every frame is on target"):
-        fit([on])
+        fit_calibration([on])
     off = CalibrationData("a", np.zeros(400), one.features, one.ud_box, one.offsets, one.scores, one.status)
     with pytest.raises(ValueError, match="no frame is on target"):
-        fit([off])
+        fit_calibration([off])
     with pytest.raises(ValueError, match="two videos"):
         leave_one_out([one])
     with pytest.raises(ValueError, match="without b: no frame"):

@@ -9,7 +9,7 @@ import pytest
 
 from bayesnet_track import load_graph
 from bayesnet_track.cues import color_blobs, motion
-from bayesnet_track.evaluate.cue_parameters import cue_residuals, fit_sd, fit_sds, shares_inside
+from bayesnet_track.evaluate.cue_parameters import central_shares, cue_residuals, fit_sd, fit_sds
 from bayesnet_track.graph.checks.run import check_graph
 from bayesnet_track.observation.cue import Residual
 from bayesnet_track.observation.planes import Frame
@@ -24,7 +24,7 @@ def test_the_sd_that_residuals_were_drawn_with(gross):
         one[: int(gross * len(one))] = 300.0
     # 6000 residuals: the sd of the estimate is 1.2 %; 4 of them, 1 % of the grid, and 3 % for the gross ones.
     assert fit_sd(videos).value == pytest.approx(1.7, rel=0.058 + 1.5 * gross)
-    assert shares_inside(videos, 1.7) == pytest.approx((0.5, 0.9), abs=0.045)
+    assert central_shares(videos, 1.7) == pytest.approx((0.5, 0.9), abs=0.045)
 
 
 def test_every_video_counts_the_same_however_long_it_is():
@@ -142,7 +142,7 @@ def test_fitted_sds_hold_on_other_scenes():
     assert set(fitted) == {("motion", "sd_x_px"), ("motion", "sd_y_px")}
 
     def held_by(key, value):
-        return shares_inside([np.concatenate(one[key]) for one in unseen], value)
+        return central_shares([np.concatenate(one[key]) for one in unseen], value)
 
     held = [held_by(key, sd.value) for key, sd in fitted.items()]
     fifty, ninety = np.mean(held, axis=0)

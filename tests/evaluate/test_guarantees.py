@@ -12,7 +12,7 @@ import pytest
 from bayesnet_track.engine.scoring.outcome import e_value, level_afterwards, next_cusum
 from bayesnet_track.evaluate.calibration_data import CalibrationData
 from bayesnet_track.evaluate.guarantees import (
-    Run,
+    CalibrationRun,
     allowed_risk,
     control_afterwards,
     control_risk,
@@ -28,7 +28,7 @@ from bayesnet_track.graph.spec import Alarm
 
 
 def run(means, iou):
-    return Run(np.array(means, dtype=float), np.array(iou, dtype=float))
+    return CalibrationRun(np.array(means, dtype=float), np.array(iou, dtype=float))
 
 
 def test_the_counting_argument():
@@ -109,7 +109,7 @@ def simulated(rng, count):
         walk = np.cumsum(rng.normal(0, 0.4, frames))
         iou = 1.0 / (1.0 + np.exp(-(easy + walk)))
         score = 1.0 / (1.0 + np.exp(-(easy + walk + rng.normal(0, 1.0) + rng.normal(0, 0.5, frames))))
-        found.append([Run(score, iou)])
+        found.append([CalibrationRun(score, iou)])
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.evaluate.scores import Confident, LongTerm, long_term, score
+from bayesnet_track.evaluate.scores import Confident, LongTerm, long_term, score_pass
 
 
 def seen(iou, confidence, present):
@@ -42,8 +42,8 @@ def test_of_equal_f_the_highest_threshold_is_named_and_nothing_to_find_has_no_fi
 
 def test_score_has_the_figures_where_the_target_is_absent_in_some_frames():
     box, gone = [10.0, 10.0, 20.0, 20.0], [np.nan] * 4
-    plain = score([box] * 4, [False] * 4, [box] * 4, confidence=[1.0, 0.9, 0.9, 0.1])
+    plain = score_pass([box] * 4, [False] * 4, [box] * 4, confidence=[1.0, 0.9, 0.9, 0.1])
     assert plain.long_f is None and "long_" not in plain.text(explained=True)
-    found = score([box] * 4, [False] * 4, [box, box, gone, box], confidence=[1.0, 0.9, 0.2, 0.8])
+    found = score_pass([box] * 4, [False] * 4, [box, box, gone, box], confidence=[1.0, 0.9, 0.2, 0.8])
     assert (found.long_precision, found.long_recall, found.long_f, found.long_f_at) == (1.0, 1.0, 1.0, 0.8)
     assert "long_f         1\n" in found.text()

@@ -9,7 +9,13 @@ from scipy import stats
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.engine.simulating import Simulation, simulate
 from bayesnet_track.evaluate.motion_evidence import Hypothesis, log_evidence
-from bayesnet_track.evaluate.motion_fit import ERRORS, MotionFitError, fit_motion, parameters_of, with_value
+from bayesnet_track.evaluate.motion_fit import (
+    ERRORS,
+    MotionFitError,
+    fit_motion,
+    fitted_parameters,
+    with_value,
+)
 from bayesnet_track.graph.checks.run import check
 from bayesnet_track.graph.spec import Motion
 from bayesnet_track.graph.text.load import read_graph
@@ -147,7 +153,7 @@ def evidence_on_a_grid(points, sd, tails, error):
 @pytest.mark.parametrize("motion", [VELOCITY, "{random_walk: {sd_px: {x: 3, y: 5}}}"])
 def test_what_boxes_were_drawn_with_is_found_again(motion):
     root = root_of(motion)
-    true = dict(parameters_of(root))
+    true = dict(fitted_parameters(root))
     off = root
     for path, value in true.items():
         off = with_value(off, path, 6 * value)
@@ -178,7 +184,7 @@ def test_tails_and_modes_are_found_again(motion, modes):
     """
     root = root_of(motion, modes)
     away = {"weight": 1 / 3, "factor": 2.0, "mean_frames": 3.0}
-    true = dict(parameters_of(root))
+    true = dict(fitted_parameters(root))
     far = root
     for path, value in true.items():
         far = with_value(far, path, away.get(path[-1], 6.0) * value)

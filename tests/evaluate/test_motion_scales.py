@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bayesnet_track.evaluate.motion_fit import MOST_STARTS, bounds_of, places_of, starts_of, values_at
+from bayesnet_track.evaluate.motion_fit import MOST_STARTS, bounds_of, search_places, search_values, starts_of
 
 VELOCITY = ("constant_velocity", "sd_velocity_px")
 BEGIN = {
@@ -16,15 +16,15 @@ PATHS, GIVEN = list(BEGIN), np.array(list(BEGIN.values()))
 
 
 def test_values_are_those_of_their_places():
-    places = places_of(PATHS, GIVEN)
-    np.testing.assert_allclose(values_at(PATHS, places), GIVEN, rtol=1e-12)
+    places = search_places(PATHS, GIVEN)
+    np.testing.assert_allclose(search_values(PATHS, places), GIVEN, rtol=1e-12)
     np.testing.assert_allclose(places[[0, 3]], [np.log(0.5), np.log(0.1 / 0.9)])
-    ends = values_at(PATHS, np.array([np.full(5, -np.inf), np.full(5, np.inf)]))
+    ends = search_values(PATHS, np.array([np.full(5, -np.inf), np.full(5, np.inf)]))
     assert ends.tolist() == [[0, 0, 0, 0, 0], [np.inf, np.inf, np.inf, 1, np.inf]]
 
 
 def test_bounds_are_of_what_a_graph_may_say():
-    low, high = (values_at(PATHS, one) for one in bounds_of(PATHS, places_of(PATHS, GIVEN)))
+    low, high = (search_values(PATHS, one) for one in bounds_of(PATHS, search_places(PATHS, GIVEN)))
     np.testing.assert_allclose(low, [0.0005, 0.006, 1, 0.001, 1.05])
     np.testing.assert_allclose(high, [500, 6000, 2000, 0.95, 5000])
 

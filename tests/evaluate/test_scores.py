@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.evaluate.scores import lost_episodes, score
+from bayesnet_track.evaluate.scores import lost_episodes, score_pass
 
 TRUE = (10.0, 10.0, 20.0, 20.0)
 
 
 def test_a_perfect_pass():
     truth = np.tile(TRUE, (8, 1))
-    got = score(truth, np.zeros(8), truth)
+    got = score_pass(truth, np.zeros(8), truth)
     # IoU 1 is above 0, 0.05 .. 0.95 but not above 1: OTB's comparison is strict.
     assert got.auc == pytest.approx(20 / 21)
     assert (got.precision20, got.mean_iou, got.lost_episodes, got.first_lost) == (1.0, 1.0, 0, None)
@@ -27,7 +27,7 @@ def test_by_hand():
     away = (100.0, 10.0, 20.0, 20.0)
     far_enough = (26.0, 22.0, 20.0, 20.0)  # centre 16, 12 away: exactly 20 px; IoU 4 * 8 / 768 = 1/24
     boxes = np.array([TRUE, half, away, far_enough])
-    got = score(boxes, [False, True, True, False], np.tile(TRUE, (4, 1)))
+    got = score_pass(boxes, [False, True, True, False], np.tile(TRUE, (4, 1)))
     assert got.auc == pytest.approx((20 + 7 + 0 + 1) / (4 * 21))
     assert got.auc_strict == pytest.approx((20 + 0 + 0 + 1) / (4 * 21))
     assert got.mean_iou == pytest.approx((1 + 1 / 3 + 0 + 1 / 24) / 4)
@@ -38,7 +38,7 @@ def test_by_hand():
 def test_absent_frames_count_for_speed_only():
     truth = np.array([TRUE, [np.nan] * 4, TRUE])
     boxes = np.array([TRUE, (500.0, 0.0, 5.0, 5.0), TRUE])
-    got = score(boxes, [False, True, False], truth, seconds=[9.0, 0.25, 0.25], active=[1, 2, 3])
+    got = score_pass(boxes, [False, True, False], truth, seconds=[9.0, 0.25, 0.25], active=[1, 2, 3])
     assert (got.frames, got.scored_frames, got.mean_iou, got.reported_lost) == (3, 2, 1.0, 1)
     assert got.fps == 4.0 and got.mean_active == 2.0
 
@@ -47,7 +47,7 @@ def test_lost_episodes_are_maximal_stretches_of_five():
     pattern = [0] * 5 + [1] + [0] * 4 + [1] + [0] * 7
     assert lost_episodes(np.array(pattern, dtype=float)) == [0, 11]
     truth = np.tile(TRUE, (len(pattern), 1))
-    got = score(truth + np.outer(1 - np.array(pattern), [200, 0, 0, 0]), np.zeros(len(pattern)), truth)
+    got = score_pass(truth + np.outer(1 - np.array(pattern), [200, 0, 0, 0]), np.zeros(len(pattern)), truth)
     assert (got.lost_episodes, got.first_lost) == (2, 0)
 
 
@@ -56,14 +56,14 @@ def test_the_first_lost_frame_is_counted_from_the_start_of_the_pass():
     truth[1:3] = np.nan
     boxes = np.tile(TRUE, (12, 1))
     boxes[6:, 0] += 200
-    got = score(boxes, np.zeros(12), truth)
+    got = score_pass(boxes, np.zeros(12), truth)
     assert (got.lost_episodes, got.first_lost) == (1, 6)
 
 
 def test_coverage_is_per_axis_and_leaves_out_the_start():
     truth = np.tile(TRUE, (5, 1))  # the centre is 19.5, 19.5
     region = [[0, 0, 0, 0], [19, 20, 19, 20], [19.5, 20, 0, 19], [20, 30, 19, 19.5], [0, 50, 25, 30]]
-    got = score(truth, np.zeros(5), truth, region50=region, region90=[[0, 99, 0, 99]] * 5)
+    got = score_pass(truth, np.zeros(5), truth, region50=region, region90=[[0, 99, 0, 99]] * 5)
     assert got.coverage50 == (0.75, 0.5)
     assert got.coverage90 == (1.0, 1.0)
 
@@ -71,23 +71,25 @@ def test_coverage_is_per_axis_and_leaves_out_the_start():
 def test_wrong_input_is_refused():
     truth = np.tile(TRUE, (3, 1))
     with pytest.raises(ValueError, match="must be"):
-        score(truth[:2], np.zeros(3), truth)
+        score_pass(truth[:2], np.zeros(3), truth)
     with pytest.raises(ValueError, match="must be"):
-        score(truth, np.zeros(2), truth)
+        score_pass(truth, np.zeros(2), truth)
     with pytest.raises(ValueError, match="box of frame 1 is not finite"):
-        score(np.array([TRUE, [np.nan] * 4, TRUE]), np.zeros(3), truth)
+        score_pass(np.array([TRUE, [np.nan] * 4, TRUE]), np.zeros(3), truth)
     with pytest.raises(ValueError, match="no box in any"):
-        score(truth, np.zeros(3), truth * np.nan)
+        score_pass(truth, np.zeros(3), truth * np.nan)
 
 
 def test_a_row_without_a_box_is_lost():
     nothing = [np.nan] * 4
     boxes, truth = np.array([TRUE, TRUE, nothing, nothing]), np.tile(TRUE, (4, 1))
-    got = score(boxes, [False, False, True, True], truth, region50=[[0, 99, 0, 99]] * 4, active=[2, 2, 0, 0])
+    got = score_pass(
+        boxes, [False, False, True, True], truth, region50=[[0, 99, 0, 99]] * 4, active=[2, 2, 0, 0]
+    )
     assert (got.scored_frames, got.mean_iou, got.precision20, got.lost_when_off) == (4, 0.5, 0.5, 1.0)
     assert (got.coverage50, got.mean_active) == ((1.0, 1.0), 2.0)
     with pytest.raises(ValueError, match="box of frame 3 is not finite"):
-        score(boxes, [False, False, True, False], truth)
+        score_pass(boxes, [False, False, True, False], truth)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +107,7 @@ def test_a_row_without_a_box_is_lost():
 def test_every_array_has_a_row_for_each_frame(name, values, message):
     truth = np.tile(TRUE, (3, 1))
     with pytest.raises(ValueError, match=message):
-        score(truth, np.zeros(3), truth, **{name: values})
+        score_pass(truth, np.zeros(3), truth, **{name: values})
 
 
 def iou(a, b):
@@ -125,7 +127,7 @@ def test_against_the_definitions_as_loops(rows):
         [row[1] if i == 0 or row[3] else [np.nan] * 4 for i, row in enumerate(rows)], dtype=float
     )
     lost = [row[2] for row in rows]
-    got = score(boxes, lost, truth)
+    got = score_pass(boxes, lost, truth)
     seen = [(b, t, gone) for b, t, gone in zip(boxes, truth, lost, strict=True) if not np.isnan(t[0])]
     overlaps = [iou(b, t) for b, t, _ in seen]
     above = strict = near = 0
@@ -148,7 +150,7 @@ def test_against_the_definitions_as_loops(rows):
 def test_text_and_json():
     truth = np.tile(TRUE, (3, 1))
     regions = [[0, 99, 0, 99]] * 3
-    full = score(
+    full = score_pass(
         truth, np.zeros(3), truth, seconds=[1, 1, 1], active=[1, 1, 2], region50=regions, region90=regions
     )
     back = json.loads(full.json())
@@ -166,7 +168,7 @@ def test_frames_by_status_and_overlap():
     boxes[1, 2] *= 0.5
     boxes[2, 0] += 1000.0
     said = ["tracking", "tracking", "uncertain", "lost", "tracking"]
-    found = score(boxes, [one == "lost" for one in said], truth, statuses=said)
+    found = score_pass(boxes, [one == "lost" for one in said], truth, statuses=said)
     assert found.statuses == {
         "tracking": {"above 0.5": 1, "up to 0.5": 1, "none": 0, "absent": 1},
         "uncertain": {"above 0.5": 0, "up to 0.5": 0, "none": 1, "absent": 0},

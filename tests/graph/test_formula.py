@@ -10,7 +10,7 @@ from bayesnet_track.graph.text.formula import (
     Integral,
     Likelihood,
     Product,
-    factor_of,
+    factor_text,
     formula_latex,
     formula_text,
 )
@@ -125,7 +125,7 @@ def test_inactive_agents_are_left_out_and_the_weights_scaled_again(target):
 
 def test_without_agents_only_the_prediction_is_left(target):
     assert _first(formula_text(target(_fusion()), ())) == f"p(s_t | e_1:t) ∝ {PREDICTED}"
-    assert factor_of(target(_fusion()), ()) is None
+    assert factor_text(target(_fusion()), ()) is None
 
 
 def test_a_latent_node_integrates_over_its_own_state(target):
@@ -161,9 +161,9 @@ def test_a_latent_root_has_two_states(target):
 
 def test_the_factor_is_data(target):
     hist, flow = Likelihood("hist", "s"), Likelihood("flow", "s")
-    assert factor_of(target(_fusion()), {"hist", "flow"}) == Product(((hist, 1.0), (flow, 1.0)))
+    assert factor_text(target(_fusion()), {"hist", "flow"}) == Product(((hist, 1.0), (flow, 1.0)))
     latent = {"latent": {"given": {"sd_px": {"x": 6}}}}
-    only = factor_of(target(_fusion(latent)), {"hist"})
+    only = factor_text(target(_fusion(latent)), {"hist"})
     assert only == Integral("color", "s", Likelihood("hist", "color"))
 
 

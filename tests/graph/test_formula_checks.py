@@ -7,7 +7,7 @@ from bayesnet_track.graph.checks.factors import names_at
 from bayesnet_track.graph.checks.motion import drift_of, sds_of
 from bayesnet_track.graph.checks.plates import Plate
 from bayesnet_track.graph.checks.run import check_graph
-from bayesnet_track.graph.expressions.parse import text_of
+from bayesnet_track.graph.expressions.parse import term_text
 from bayesnet_track.graph.spec import ByExpressions
 from bayesnet_track.graph.text.messages import GraphError, Positions
 
@@ -21,8 +21,8 @@ def graph_of(motion, **more):
 
 def test_numbers_and_texts_are_terms():
     motion = ByExpressions.model_validate(MOTION)
-    assert {name: text_of(term) for name, term in drift_of(motion).items()} == {"x": "x + speed * dt"}
-    assert {name: text_of(term) for name, term in sds_of(motion).items()} == {"x": "1.5", "speed": "-w"}
+    assert {name: term_text(term) for name, term in drift_of(motion).items()} == {"x": "x + speed * dt"}
+    assert {name: term_text(term) for name, term in sds_of(motion).items()} == {"x": "1.5", "speed": "-w"}
 
 
 def test_factors_know_the_fields(cues):

@@ -13,7 +13,14 @@ import pytest
 from bayesnet_track import GraphSpec
 from bayesnet_track.graph.checks.run import check, check_graph
 from bayesnet_track.graph.text.load import read_graph
-from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, Positions, listed, nearest, shown
+from bayesnet_track.graph.text.messages import (
+    MAX_MESSAGES,
+    GraphError,
+    Positions,
+    listed,
+    nearest,
+    shown_value,
+)
 from bayesnet_track.observation.cue import installed_cues
 
 TABLES = Path(__file__).parent / "messages"
@@ -149,10 +156,10 @@ def test_an_error_stands_at_what_was_written_nearest_to_it():
 
 def test_what_is_shown_stays_short_and_printable():
     assert listed(str(i) for i in range(20)).endswith("10, 11, ... (8 more)")
-    assert len(shown("x" * 9999)) < 80
-    assert len(shown("\x1b" * 9999)) < 130
-    assert "\x1b" not in shown("\x1b[31m") + listed(["\x1b[31m"])
-    assert shown({str(i): i for i in range(9)}) == "a mapping of 9 keys"
+    assert len(shown_value("x" * 9999)) < 80
+    assert len(shown_value("\x1b" * 9999)) < 130
+    assert "\x1b" not in shown_value("\x1b[31m") + listed(["\x1b[31m"])
+    assert shown_value({str(i): i for i in range(9)}) == "a mapping of 9 keys"
     assert nearest("zzz", ["activate"]) == ""
 
 

@@ -13,7 +13,7 @@ from bayesnet_track.graph.spec import Crossing
 from bayesnet_track.inference.crossings import (
     TRACES,
     Sample,
-    advance,
+    advance_trail,
     convolved,
     sample_gaussian,
     sample_weighted,
@@ -39,7 +39,7 @@ def follow(crossing, path):
     """The trail of a single hypothesis along a path."""
     trail = None
     for place in path:
-        trail = advance(crossing, trail, sample([place], ancestors=np.array([0])), 1.0)
+        trail = advance_trail(crossing, trail, sample([place], ancestors=np.array([0])), 1.0)
     return trail
 
 
@@ -75,12 +75,12 @@ def test_particles_cross_as_all_paths_of_their_ancestors_do():
     ancestors = None
     for _ in range(12):
         weights = rng.random(len(places))
-        trail = advance(crossing, trail, sample(places, weights / weights.sum(), ancestors), 1.0)
+        trail = advance_trail(crossing, trail, sample(places, weights / weights.sum(), ancestors), 1.0)
         ancestors = rng.choice(200, 200, p=weights / weights.sum())
         places = paths[ancestors][:, -1] + rng.normal(0, 6, (200, 2))
         paths = np.concatenate([paths[ancestors], places[:, None]], axis=1)
         expected = [follow(crossing, path).counts[0] for path in paths]
-        check = advance(crossing, trail, sample(places, None, ancestors), 1.0)
+        check = advance_trail(crossing, trail, sample(places, None, ancestors), 1.0)
         assert check.counts.tolist() == expected
     assert trail.counts.max() >= 1
 
@@ -138,7 +138,7 @@ def traced(readings, start, motion_sd, reading_sd, crossing, seed):
             covariance = spread - np.outer(gain, spread[1])
         group = GaussianGroup(["1"], FIELDS, mean[None], covariance[None])
         drawn = sample_gaussian(group, crossing, trail, (motion, 1.0), lambda purpose: rng)
-        trail = advance(crossing, trail, drawn, 1.0)
+        trail = advance_trail(crossing, trail, drawn, 1.0)
         answers.append(1.0 - trail.distribution[0])
     return answers[1:]
 
@@ -163,7 +163,9 @@ def test_a_grid_crosses_with_its_mass():
         mass = weights.reshape(1, 1, 1, 9, 1)
         lattice = Lattice((10.0, float(y[0])), 1.0, 0, 0, (8.0, 8.0), np.zeros(1), np.zeros(1))
         belief = GridBelief(mass, lattice, np.ones((1, 1)))
-        trail = advance(crossing, trail, sample_weighted(SingleGroup(["1"], belief), crossing, None), 1.0)
+        trail = advance_trail(
+            crossing, trail, sample_weighted(SingleGroup(["1"], belief), crossing, None), 1.0
+        )
         assert 1.0 - trail.distribution[0] == pytest.approx(expected, abs=0.06)
 
 
@@ -175,9 +177,9 @@ def test_a_foot_is_the_middle_of_the_lower_edge():
 
 def test_who_may_not_exist_crosses_with_that_probability():
     crossing = line()
-    trail = advance(crossing, None, sample([(50, 40)]), 0.2)
-    trail = advance(crossing, trail, sample([(50, 60)], ancestors=np.array([0])), 0.8)
-    trail = advance(crossing, trail, sample([(50, 70)], ancestors=np.array([0])), 0.1)
+    trail = advance_trail(crossing, None, sample([(50, 40)]), 0.2)
+    trail = advance_trail(crossing, trail, sample([(50, 60)], ancestors=np.array([0])), 0.8)
+    trail = advance_trail(crossing, trail, sample([(50, 70)], ancestors=np.array([0])), 0.1)
     assert trail.distribution == pytest.approx([0.2, 0.8])
     total = convolved(trail.distribution, trail.distribution)
     assert total == pytest.approx([0.04, 0.32, 0.64])

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from bayesnet_track.inference.joint import (
-    Crowd,
     Edge,
+    JointHypotheses,
     Marginal,
     Member,
     PairBatch,
@@ -312,7 +312,7 @@ def test_partners_are_drawn_in_proportion_and_one_from_each_stratum():
     rng = np.random.default_rng(8)
     one = member(rng, 50.0)
     boxes, shares = one.boxes, rng.dirichlet(np.ones(len(one.boxes)))
-    order = Crowd.of({"a": one}).by_place
+    order = JointHypotheses.of({"a": one}).by_place
     each = shuffled_of_each(np.array([[8, 0]], np.uint64), np.array([0, 2000]), np.array([4]))
     shifts, turns = each[0], each[1].reshape(4, 500)
     picked = pick_in_strata(order, np.cumsum(shares[order]), shifts).reshape(4, 500)
@@ -377,10 +377,10 @@ def test_what_is_known_of_a_target_is_what_its_own_weights_say():
             ("c", 1, member(rng, 53.0, cells=4)),
         )
     }
-    together = Crowd.of(members)
+    together = JointHypotheses.of(members)
     hidden = together.hidden(members, [("a", "b"), ("c", "a")])
     for m, (name, one) in enumerate(members.items()):
-        alone, own = Crowd.of({name: one}), slice(together.starts[m], together.starts[m + 1])
+        alone, own = JointHypotheses.of({name: one}), slice(together.starts[m], together.starts[m + 1])
         for column in ("losses", "bad", "seen", "by_place", "log_likelihood"):
             assert getattr(together, column)[own].tobytes() == getattr(alone, column).tobytes()
         assert together.log_evidence[m] == alone.log_evidence[0]
@@ -423,7 +423,7 @@ def test_a_target_without_a_hypothesis_is_an_error():
 
 def test_each_pair_speaks_after_those_whom_its_speaker_has_to_hear():
     rng = np.random.default_rng(14)
-    crowd = Crowd.of({name: member(rng, 50.0 + 4 * k) for k, name in enumerate("abcd")})
+    crowd = JointHypotheses.of({name: member(rng, 50.0 + 4 * k) for k, name in enumerate("abcd")})
     edges = [Edge(pair, 0.4) for pair in (("a", "b"), ("b", "c"), ("b", "d"))]
     above = {"a": None, "b": "a", "c": "b", "d": "b"}
     batch = PairBatch.along(crowd, edges, [Edge(("c", "a"), 0.4)], above)

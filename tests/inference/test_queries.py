@@ -16,12 +16,12 @@ from bayesnet_track.graph.expressions.evaluate import between_of
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.spec import Query
 from bayesnet_track.inference.queries import (
+    PairGroup,
     compile_query,
     count_of,
     inside_polygon,
-    numbers,
-    pair_up,
     probabilities,
+    query_numbers,
     sum_of_events,
 )
 
@@ -96,7 +96,7 @@ def test_other_conditions_of_gaussians_are_within_a_hundredth():
 
 def test_a_linear_number_of_gaussians_is_exact():
     group = gaussians()
-    found = numbers(asked(value="(vx - vy) / frame_s + 3", interval=0.5), group, FRAME)
+    found = query_numbers(asked(value="(vx - vy) / frame_s + 3", interval=0.5), group, FRAME)
     form = np.array([0, 0, 0, 0, 25.0, -25.0])
     for row in range(3):
         mean, sd = form @ group.means[row] + 3, math.sqrt(form @ group.covariances[row] @ form)
@@ -106,7 +106,7 @@ def test_a_linear_number_of_gaussians_is_exact():
 
 def test_a_speed_of_gaussians_is_that_of_a_rayleigh_distribution():
     group = GaussianGroup(["1"], FIELDS, np.zeros((1, 6)), np.eye(6)[None] * 4.0)
-    mean, sd, low, high = numbers(asked(value="hypot(vx, vy)"), group, FRAME)[:, 0]
+    mean, sd, low, high = query_numbers(asked(value="hypot(vx, vy)"), group, FRAME)[:, 0]
     assert mean == pytest.approx(2 * math.sqrt(math.pi / 2), rel=0.005)
     assert sd == pytest.approx(2 * math.sqrt(2 - math.pi / 2), rel=0.01)
     assert low == pytest.approx(2 * math.sqrt(-2 * math.log(0.95)), rel=0.02)
@@ -130,7 +130,7 @@ def _holds(term, state):
 
 def test_a_number_on_a_grid_is_the_sum_over_cells():
     belief = cells()
-    mean, sd, low, high = numbers(asked(value="x * vy"), SingleGroup(["1"], belief), FRAME)[:, 0]
+    mean, sd, low, high = query_numbers(asked(value="x * vy"), SingleGroup(["1"], belief), FRAME)[:, 0]
     pairs = [(mass, state["x"] * state["vy"]) for mass, state in every_cell(belief)]
     expected = sum(mass * value for mass, value in pairs)
     assert mean == pytest.approx(expected, abs=1e-10)
@@ -145,12 +145,12 @@ def test_particles_are_weighed_and_a_row_does_not_depend_on_others():
     weights /= weights.sum(axis=1, keepdims=True)
     group = WeightedGroup(["1", "2", "3"], FIELDS, states, weights)
     query, number = asked(probability="x > vy"), asked(value="x * y")
-    whole, values = probabilities(query, group, FRAME), numbers(number, group, FRAME)
+    whole, values = probabilities(query, group, FRAME), query_numbers(number, group, FRAME)
     for row in range(3):
         expected = weights[row][states[row, :, 0] > states[row, :, 5]].sum()
         assert whole[row] == pytest.approx(expected, abs=1e-12)
         assert probabilities(query, group.take(row), FRAME)[0] == whole[row]
-        assert (numbers(number, group.take(row), FRAME)[:, 0] == values[:, row]).all()
+        assert (query_numbers(number, group.take(row), FRAME)[:, 0] == values[:, row]).all()
 
 
 def test_rows_of_gaussians_do_not_depend_on_others():
@@ -158,7 +158,7 @@ def test_rows_of_gaussians_do_not_depend_on_others():
     for query, find in (
         (asked(probability="x > 99"), probabilities),
         (asked(probability="hypot(x, y) > 140"), probabilities),
-        (asked(value="hypot(vx, vy)"), numbers),
+        (asked(value="hypot(vx, vy)"), query_numbers),
     ):
         whole = find(query, group, FRAME).reshape(-1, 5)
         for row in range(5):
@@ -170,7 +170,7 @@ def test_hypotheses_without_a_value_are_left_out():
     states[0, :, 0] = [4.0, 9.0, -1.0, 0.0]
     states[1, :, 0] = -1.0
     group = WeightedGroup(["1", "2"], FIELDS, states, np.full((2, 4), 0.25))
-    found = numbers(asked(value="sqrt(x)"), group, FRAME)
+    found = query_numbers(asked(value="sqrt(x)"), group, FRAME)
     assert found[0, 0] == pytest.approx((2 + 3 + 0) / 3)
     assert np.isnan(found[:, 1]).all()
 
@@ -182,13 +182,13 @@ def test_modes_are_a_mixture():
     (group,) = groups_of([("1", ModalPosterior(parts, np.array([0.25, 0.75])))])
     (found,) = probabilities(asked(probability="x > 5"), group, FRAME)
     assert found == pytest.approx(0.75, abs=1e-3)
-    assert numbers(asked(value="x"), group, FRAME)[0, 0] == pytest.approx(7.5, abs=1e-3)
+    assert query_numbers(asked(value="x"), group, FRAME)[0, 0] == pytest.approx(7.5, abs=1e-3)
 
 
 def test_a_pair_of_grids_is_the_sum_over_pairs_of_cells():
     first, second = cells(3), cells(4)
     query = compile_query("q", Query(of=("t", "u"), probability="a.x - b.x > b.y - a.y"), {})
-    pair = pair_up(SingleGroup(["1"], first), SingleGroup(["2"], second))
+    pair = PairGroup.from_groups(SingleGroup(["1"], first), SingleGroup(["2"], second))
     (found,) = probabilities(query, pair, FRAME)
     own, other = _places(first), _places(second)
     expected = sum(p * q for (x, y), p in own.items() for (u, v), q in other.items() if x - u > v - y)
@@ -206,7 +206,7 @@ def _places(belief):
 def test_a_linear_pair_of_gaussians_is_exact():
     group = gaussians(2)
     query = compile_query("q", Query(of=("t", "t"), probability="a.x < b.x"), {})
-    (found,) = probabilities(query, pair_up(group.take(0), group.take(1)), FRAME)
+    (found,) = probabilities(query, PairGroup.from_groups(group.take(0), group.take(1)), FRAME)
     gap = group.means[1, 0] - group.means[0, 0]
     sd = math.sqrt(group.covariances[0, 0, 0] + group.covariances[1, 0, 0])
     assert found == pytest.approx(normal_cdf(gap / sd), abs=1e-12)
@@ -218,7 +218,7 @@ def test_a_pair_of_many_particles_is_near_the_sum_over_all_pairs():
     weights /= weights.sum(axis=1, keepdims=True)
     group = WeightedGroup(["1", "2"], FIELDS, states, weights)
     query = compile_query("q", Query(of=("t", "t"), probability="hypot(a.x - b.x, a.y - b.y) < 15"), {})
-    (found,) = probabilities(query, pair_up(group.take(0), group.take(1)), FRAME)
+    (found,) = probabilities(query, PairGroup.from_groups(group.take(0), group.take(1)), FRAME)
     apart = np.hypot(*(states[0][:, None, k] - states[1][None, :, k] for k in (0, 1)))
     assert found == pytest.approx(float(weights[0] @ (apart < 15) @ weights[1]), abs=0.02)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.lenses import derivatives, follow, shorter_way, solutions
+from bayesnet_track.numerics.lenses import derivatives, follow_line, shorter_way, solutions
 
 PERIODS = np.array([np.inf, 2 * np.pi])
 LESS = shorter_way(PERIODS)
@@ -28,7 +28,7 @@ def test_every_range_and_bearing_is_found_from_one_place():
     z = np.stack([rng.uniform(0.5, 900, 500), rng.uniform(-np.pi, np.pi, 500)], axis=1)
     place = np.array([[90.0, -7.0]])
     values = polar(place)[0]
-    states = follow(polar, LESS, place[0], values, LESS(z, values), VARIANCES)
+    states = follow_line(polar, LESS, place[0], values, LESS(z, values), VARIANCES)
     wanted = np.stack([40 + z[:, 0] * np.cos(z[:, 1]), -7 + z[:, 0] * np.sin(z[:, 1])], axis=1)
     assert states == pytest.approx(wanted, abs=1e-6)
 
@@ -37,7 +37,7 @@ def test_what_no_place_has_is_not_found():
     place = np.array([[90.0, -7.0]])
     values = polar(place)[0]
     way = np.array([[-5.0 - values[0], 0.3]])  # a range of -5
-    assert np.isnan(follow(polar, LESS, place[0], values, way, VARIANCES)).all()
+    assert np.isnan(follow_line(polar, LESS, place[0], values, way, VARIANCES)).all()
 
 
 def test_two_ranges_have_two_places():

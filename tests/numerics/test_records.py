@@ -6,7 +6,7 @@ from functools import cached_property
 
 import pytest
 
-from bayesnet_track.numerics.records import Found, evolve
+from bayesnet_track.numerics.records import LazyRecords, evolve
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def test_all_are_found_once_when_the_first_is_asked_for():
         asked.append("all")
         return {"a": 1.0, "b": 2.0}
 
-    values = Found(["a", "b"], find)
+    values = LazyRecords(["a", "b"], find)
     assert list(values) == ["a", "b"] and len(values) == 2 and "a" in values and "c" not in values
     assert asked == []  # names alone need no value
     assert values["b"] == 2.0 and values == {"a": 1.0, "b": 2.0} and asked == ["all"]
@@ -54,4 +54,4 @@ def test_all_are_found_once_when_the_first_is_asked_for():
 
 
 def test_they_are_pickled_as_values():
-    assert pickle.loads(pickle.dumps(Found(["a"], lambda: {"a": 1.0}))) == {"a": 1.0}
+    assert pickle.loads(pickle.dumps(LazyRecords(["a"], lambda: {"a": 1.0}))) == {"a": 1.0}

@@ -8,7 +8,7 @@ from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.models import linear_gaussian, make_motion
 from bayesnet_track.graph.spec import Gaussian, Motion
-from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile, linear_update, root, root_of
+from bayesnet_track.numerics.gaussian import ALONE, chi_square_quantile, fill_root, linear_update, root
 from bayesnet_track.numerics.kernels.pair_kernels import gate_rows
 from bayesnet_track.numerics.kernels.row_kernels import (
     ESS,
@@ -55,7 +55,7 @@ def test_a_root_is_that_of_numerics_gaussian(beliefs):
     flat[2], flat[:, 2] = 0.0, 0.0  # a field that does not vary has no column
     for covariance in (beliefs[1][0], flat):
         lower = np.zeros((6, 6))
-        width = root_of(covariance, lower, np.empty((6, 6)), np.empty(6), ALONE)
+        width = fill_root(covariance, lower, np.empty((6, 6)), np.empty(6), ALONE)
         np.testing.assert_allclose(lower[:, :width], root(covariance), rtol=1e-10, atol=1e-12)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from bayesnet_track.cli.batch import places
-from bayesnet_track.cli.batch.jobs import Job, Video
+from bayesnet_track.cli.batch.jobs import BatchVideo, Job
 from bayesnet_track.observation.child import cut, end_with, python, tie
 from bayesnet_track.runtime.executors.workers import ForkServer
 
@@ -41,7 +41,7 @@ def started_by(monkeypatch, start):
 @pytest.mark.parametrize("kind", ["fork_server", "batch"])
 def test_every_process_looks_in_no_folder_but_those_of_this_one(monkeypatch, tmp_path, kind):
     """The first lines of each process, run in a folder of decoys, say where it imports from."""
-    job = Job("g", Video("v", "v"), 0, str(tmp_path))
+    job = Job("g", BatchVideo("v", "v"), 0, str(tmp_path))
     start = {
         "fork_server": lambda: ForkServer(0, 0, 1.0),
         "batch": lambda: list(places.Processes(1).run([job])),

@@ -13,7 +13,7 @@ from bayesnet_track import CueDeclaration, Tracker, load_graph, track
 from bayesnet_track.cli.main import main
 from bayesnet_track.observation import cue_files, plugins
 from bayesnet_track.observation.cue import CUE_FILE_MODULE, CueError
-from bayesnet_track.observation.cue_files import load_cue_file, own_cues, pack, unpack
+from bayesnet_track.observation.cue_files import load_cue_file, own_cues, pack_cue_files, unpack_cue_files
 from bayesnet_track.runtime.checkpoints.recipe import Recipe
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.executors import PlacingError
@@ -308,15 +308,15 @@ def test_what_is_no_cue_is_refused():
 
 def test_a_worker_process_loads_the_same_bytes(folder):
     first = load_cue_file(write(folder, GLANCE))
-    content = pack()
+    content = pack_cue_files()
     (folder / "glance.py").write_text("changed")
     cue_files._loaded.clear()
-    unpack(content)
+    unpack_cue_files(content)
     (again,) = cue_files._loaded.values()
     assert again.content == first.content and again.declaration.name == "glance"
     cue_files._loaded.clear()
-    assert pack() == b""
-    unpack(b"")
+    assert pack_cue_files() == b""
+    unpack_cue_files(b"")
 
 
 class LearnsNothing:

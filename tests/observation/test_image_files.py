@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.observation.image_files import PictureError, pages_of, read_mask, read_pixels
-from bayesnet_track.sources.stereo_source import read_points
+from bayesnet_track.sources.stereo_source import read_depth_points
 
 GRAY = [np.full((4, 6), value, np.uint8) for value in (10, 20, 30)]
 
@@ -77,6 +77,6 @@ def test_netpbm_images_one_behind_the_other():
 def test_a_file_of_several_images_is_refused_where_one_is_needed(tmp_path):
     path = tmp_path / "a.tif"
     assert cv2.imwritemulti(str(path), GRAY)
-    for read in (read_pixels, read_mask, lambda path: read_points(path, None)):
+    for read in (read_pixels, read_mask, lambda path: read_depth_points(path, None)):
         with pytest.raises(PictureError, match=r"a.tif: 3 images in one TIFF file; allowed here: one image"):
             read(path)

@@ -11,7 +11,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.observation.detector import DetectorError, installed_detectors
 from bayesnet_track.observation.image_files import MAX_BYTES, MAX_PIXELS, PictureError, declared_size
 from bayesnet_track.sources.images import read_image
-from bayesnet_track.sources.stereo_source import read_points
+from bayesnet_track.sources.stereo_source import read_depth_points
 
 ENCODED = [
     (".jpg", []),
@@ -81,7 +81,7 @@ def test_a_small_file_of_many_pixels_is_refused_wherever_images_are_read(tmp_pat
     bad.write_bytes(png(20000, 20000))
     said = "0.png: 20000x20000 px; allowed: 134,217,728 pixels"
     with pytest.raises(PictureError, match=said):
-        read_points(bad, None)
+        read_depth_points(bad, None)
     declared = installed_detectors()["color_backprojection"]
     with pytest.raises(DetectorError, match=said):
         declared.make(declared.parameters(picture=str(bad)))
@@ -106,7 +106,7 @@ def test_a_sparse_file_of_gigabytes_is_not_read(tmp_path, name):
             file.write(png(9, 9))
         file.truncate(10 << 30)
     with pytest.raises(PictureError, match=f"at most {MAX_BYTES >> 20} MB|50000x50000 px"):
-        read_points(path, None)
+        read_depth_points(path, None)
 
 
 def test_large_pictures_are_converted_in_bands(tmp_path):

@@ -24,7 +24,7 @@ from bayesnet_track.runtime.smoothing import smooth
 from bayesnet_track.sources.entrances.notices import InputNotice
 from bayesnet_track.sources.sources import open_source
 from bayesnet_track.sources.stereo_source import open_stereo_source
-from bayesnet_track.vision.calibration import calibrate
+from bayesnet_track.vision.calibration import calibrate_pair
 
 
 def test_a_black_first_frame_is_said_in_the_words_of_the_reader(tmp_path, capsys):
@@ -132,8 +132,8 @@ def f(option):
 
 def test_every_setting_is_an_option_and_a_parameter():
     takers = (
-        calibrate, change_graph, make_executor, open_source, open_stereo_source, read_truth, resume, smooth,
-        track, write_arviz,
+        calibrate_pair, change_graph, make_executor, open_source, open_stereo_source, read_truth, resume,
+        smooth, track, write_arviz,
     )  # fmt: skip
     parameters = {name for taker in takers for name in inspect.signature(taker).parameters}
     assert PARAMETERS.keys() <= option_strings()

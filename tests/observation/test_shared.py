@@ -20,7 +20,7 @@ from bayesnet_track.observation.planes import (
     for_reading,
     shown,
 )
-from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
+from bayesnet_track.runtime.executors.frames import FrameRing, FrameView
 
 
 def test_a_frame_cannot_be_written_into_and_the_array_of_its_source_can():
@@ -56,7 +56,7 @@ def test_a_plane_and_what_it_is_made_from_cannot_be_written_into(fakes):
 
 
 def test_a_worker_maps_the_frames_for_reading_only():
-    store = FrameStore()
+    store = FrameRing()
     try:
         frame = FrameView(store.descriptor).get(store.put(Frame(0, 0.0, np.zeros((4, 5, 3), np.uint8))))
         with pytest.raises(ValueError):

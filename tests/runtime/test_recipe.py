@@ -10,7 +10,7 @@ import pytest
 
 from bayesnet_track import Start, load_graph, track
 from bayesnet_track.runtime.checkpoints.recipe import VIDEO_FORMAT, Recipe, RecipeError, make_recipe
-from bayesnet_track.sources.origin import Origin, fingerprint
+from bayesnet_track.sources.origin import Origin, fingerprint_files
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.reopen import reopen
 from bayesnet_track.sources.scenes.library import SceneSource
@@ -67,9 +67,9 @@ def test_the_fingerprint_sees_the_ends_and_the_length_of_a_long_file(tmp_path: P
         if at is not None:
             data[at] ^= 1
         path.write_bytes(data)
-        seen.add(fingerprint([path]).sha256)
+        seen.add(fingerprint_files([path]).sha256)
     path.write_bytes(data + b"\0")
-    seen.add(fingerprint([path]).sha256)
+    seen.add(fingerprint_files([path]).sha256)
     assert len(seen) == 5
 
 

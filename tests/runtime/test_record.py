@@ -95,14 +95,14 @@ def test_a_full_disk_is_told_at_once_and_leaves_whole_lines(graph, tmp_path, nam
 def test_a_full_disk_is_exit_code_6(tmp_path, capsys, monkeypatch, name):
     from bayesnet_track.cli.main import main
 
-    begin = session.begin
+    begin = session._begin
 
     def with_a_full_disk(directory, *arguments):
         part = ".part" if name == "graph" else ""
         (directory.path / (FILES[name] + part)).symlink_to(FULL)
         return begin(directory, *arguments)
 
-    monkeypatch.setattr(session, "begin", with_a_full_disk)
+    monkeypatch.setattr(session, "_begin", with_a_full_disk)
     code = main(["demo", "--end", "3", "--quiet", "--out", str(tmp_path / "run")])
     out, err = capsys.readouterr()
     assert (code, out) == (6, "")

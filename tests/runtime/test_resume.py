@@ -18,7 +18,7 @@ from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.runtime import arguments
 from bayesnet_track.runtime.checkpoints.recipe import RecipeError
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
-from bayesnet_track.runtime.checkpoints.standing import Standing, standing
+from bayesnet_track.runtime.checkpoints.standing import RunStanding, standing
 from bayesnet_track.runtime.recording.manifest import lock_run
 from bayesnet_track.runtime.recording.rundir import RunDirectory, RunDirectoryError
 from bayesnet_track.runtime.results import Summary, Switchboard
@@ -54,7 +54,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 def test_it_goes_on_after_the_last_frame(tmp_path: Path, whole: dict[str, str]) -> None:
     run = begun(tmp_path / "run", 5)
-    assert standing(run) == Standing(False, 4, "interrupted")
+    assert standing(run) == RunStanding(False, 4, "interrupted")
     summary = Summary()
     assert [result.frame.index for result in resume(run, summary=summary)] == list(range(5, FRAMES))
     assert (summary.frames, summary.complete, summary.reason) == (FRAMES, True, "end_of_source")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.runtime.live_view import feed
-from bayesnet_track.runtime.live_view.feed import Thumbnails, encode
+from bayesnet_track.runtime.live_view.feed import Thumbnails, encode_jpeg
 
 NOISE = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
 
@@ -47,7 +47,7 @@ def test_few_are_taken_but_those_that_must_be(made):
 
 
 def test_the_budget_thins_what_is_old_and_spares_what_must_be(made):
-    size = len(encode(NOISE))
+    size = len(encode_jpeg(NOISE))
     shelf = made(budget=20 * size, per_second=1e9)
     for frame in range(200):
         shelf.offer(frame, NOISE, must=frame == 9)
@@ -60,7 +60,7 @@ def test_the_budget_thins_what_is_old_and_spares_what_must_be(made):
 
 def test_an_encoder_that_hangs_holds_up_nobody(made, monkeypatch):
     gate = threading.Event()
-    monkeypatch.setattr(feed, "encode", lambda image: gate.wait(60) and b"x")
+    monkeypatch.setattr(feed, "encode_jpeg", lambda image: gate.wait(60) and b"x")
     shelf = made(per_second=1e9)
     began = time.monotonic()
     for frame in range(10_000):
@@ -71,6 +71,6 @@ def test_an_encoder_that_hangs_holds_up_nobody(made, monkeypatch):
 
 
 def test_a_large_picture_is_made_small():
-    data = encode(np.zeros((1080, 1920, 3), np.uint8))
+    data = encode_jpeg(np.zeros((1080, 1920, 3), np.uint8))
     rows, columns = cv2.imdecode(np.frombuffer(data, np.uint8), 1).shape[:2]
     assert abs(rows * columns - 640 * 480) < 2000 and abs(columns / rows - 16 / 9) < 0.01

@@ -5,11 +5,11 @@ import pytest
 
 from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.sources.mot_lines import parse_mot
-from bayesnet_track.sources.origin import fingerprint
+from bayesnet_track.sources.origin import fingerprint_files
 from bayesnet_track.sources.paths import depth_files
 from bayesnet_track.sources.scenes.scene import gray_cells, shaded_cells, smooth_background
 from bayesnet_track.sources.scenes.shapes import SIDE, crowd
-from bayesnet_track.sources.stereo_source import read_points
+from bayesnet_track.sources.stereo_source import read_depth_points
 
 
 def test_lines_of_boxes_have_commas_or_spaces_and_count_frames_from_one():
@@ -38,7 +38,7 @@ def test_points_without_depth_are_none(tmp_path):
     points = np.ones((2, 3, 3), np.float32)
     points[0, 0, 2], points[0, 1, 2], points[1, 1, 0] = 0.0, -1.0, np.inf
     np.save(tmp_path / "points.npy", points)
-    found = read_points(tmp_path / "points.npy", None)
+    found = read_depth_points(tmp_path / "points.npy", None)
     assert np.isnan(found).all(axis=2).tolist() == [[True, True, False], [False, True, False]]
 
 
@@ -54,7 +54,7 @@ def test_points_without_depth_are_none(tmp_path):
 def test_other_arrays_are_no_depth(values, what, tmp_path):
     np.save(tmp_path / "depth.npy", values)
     with pytest.raises(PictureError, match=what):
-        read_points(tmp_path / "depth.npy", None)
+        read_depth_points(tmp_path / "depth.npy", None)
 
 
 def test_a_broken_link_keeps_its_place_among_the_depth_files(tmp_path):
@@ -63,21 +63,21 @@ def test_a_broken_link_keeps_its_place_among_the_depth_files(tmp_path):
     broken, whole = depth_files(str(tmp_path))
     assert (broken.name, whole.name) == ("0.npy", "1.npy")
     with pytest.raises(PictureError, match=r"0\.npy"):
-        read_points(broken, None)
+        read_depth_points(broken, None)
 
 
 def test_a_fingerprint_is_of_names_sizes_and_bytes(tmp_path):
     first, second = tmp_path / "a.png", tmp_path / "b.png"
     first.write_bytes(b"one")
     second.write_bytes(b"two")
-    before = fingerprint([first, second])
-    assert (before.files, before.size) == (2, 6) and fingerprint([first, second]) == before
+    before = fingerprint_files([first, second])
+    assert (before.files, before.size) == (2, 6) and fingerprint_files([first, second]) == before
     second.write_bytes(b"owt")
-    assert fingerprint([first, second]) != before
+    assert fingerprint_files([first, second]) != before
     second.write_bytes(b"two")
-    assert fingerprint([first, second.rename(tmp_path / "c.png")]) != before
+    assert fingerprint_files([first, second.rename(tmp_path / "c.png")]) != before
     with pytest.raises(OSError, match="not a plain file"):
-        fingerprint([tmp_path])
+        fingerprint_files([tmp_path])
 
 
 @pytest.mark.slow

@@ -125,13 +125,13 @@ def test_closing_ends_a_wait():
 def test_two_eyes_are_paired_by_what_is_newest():
     """Each drops pictures for itself: still one pair comes after another."""
     from bayesnet_track.observation.planes import RightEye
-    from bayesnet_track.sources.stereo_source import Joined
+    from bayesnet_track.sources.stereo_source import DepthReader
 
     def completer(index, second, image):
         return image, RightEye(second.pixels()[0], None)
 
     eyes = [LiveReader(lambda: Feed(30), INTERVAL_S, connect_s=0.2, give_up_s=0.0) for _ in range(2)]
-    reader, pairs = Joined("pair", eyes[0], completer, eyes[1]), []
+    reader, pairs = DepthReader("pair", eyes[0], completer, eyes[1]), []
     for item in reader:
         if isinstance(item, Picture):
             pairs.append(item.index)

@@ -10,7 +10,7 @@ from bayesnet_track.journal.events.runs import SourceDamaged
 from bayesnet_track.observation.planes import Frame, PointMap, RightEye, StereoGeometry
 from bayesnet_track.sources.frames import Damage, Picture, Source
 from bayesnet_track.sources.paths import SourceError
-from bayesnet_track.sources.stereo_source import Joined, open_stereo_source, two_eyes
+from bayesnet_track.sources.stereo_source import DepthReader, open_stereo_source, two_eyes
 from bayesnet_track.vision.calibration import RectifiedPair, write_calibration
 
 WIDTH, HEIGHT = 32, 24
@@ -217,7 +217,7 @@ def joined(left, right):
         return two_eyes(PAIR, index, second, pixels)
 
     eyes = Eye(left, 9), Eye(right, 9)
-    source = Source("pair", Joined("pair", eyes[0], complete, eyes[1]), None, None, "stop")
+    source = Source("pair", DepthReader("pair", eyes[0], complete, eyes[1]), None, None, "stop")
     frames, events = read(source)
     assert eyes[0].is_closed and eyes[1].is_closed
     assert all(f.image[0, 0, 0] == f.depth.image[0, 0, 0] == f.index for f in frames)

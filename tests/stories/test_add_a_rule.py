@@ -23,7 +23,7 @@ from collections.abc import Iterator
 
 from pydantic import Field
 
-from bayesnet_track.graph.rules.agent_rule import AgentMeasures, AgentPlace, AgentRule, Flaw
+from bayesnet_track.graph.rules.agent_rule import AgentMeasures, AgentPlace, AgentRule, RuleFlaw
 from bayesnet_track.graph.settings.base import FrameCount, Positive
 from bayesnet_track.observation.cue import Floats
 
@@ -48,11 +48,11 @@ class IdleCheck(AgentRule):
         """(T,) its contribution, nats."""
         return measures.measured("contribution")
 
-    def flaws(self, place: AgentPlace) -> Iterator[Flaw]:
+    def flaws(self, place: AgentPlace) -> Iterator[RuleFlaw]:
         """The only agent never stops itself."""
         if not place.siblings:
             found = f"{place.name} is the only agent, and never stops itself"
-            yield Flaw("below_nats", found, "no such rule")
+            yield RuleFlaw("below_nats", found, "no such rule")
 '''
 ANCHOR = (
     '    self_check: SelfCheck | None = Field(default=None, description="stop when uncertain of itself")\n'

@@ -62,7 +62,9 @@ def test_the_right_square_is_held_with_little_more_than_one_agent(
     assert np.mean([len(result.targets[0].active) for result in results[1:]]) <= 1.35
 
 
-def test_every_switch_names_uncertainty_beyond_its_level(crossing: tuple[Scene, list[Result]]) -> None:
+def test_every_switch_names_uncertainty_beyond_its_level(
+    crossing: tuple[Scene, list[Result]],
+) -> None:
     _, results = crossing
     for decision in decisions(results, Activated):
         assert isinstance(decision, Activated) and decision.cause is not None

@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.vision.calibration import CalibrationError, Rectification, calibrate, read_calibration
+from bayesnet_track.vision.calibration import (
+    CalibrationError,
+    Rectification,
+    calibrate_pair,
+    read_rectification,
+)
 
 BOARD, SQUARE, SIZE = (8, 5), 0.04, (400, 300)
 LEFT = np.array([[380.0, 0, 204], [0, 380, 148], [0, 0, 1]])
@@ -63,7 +68,7 @@ def folders(boards, tmp_path_factory):
 
 def test_the_cameras_are_found(boards):
     """Corners are found to about 0.05 px; seven boards then fix the focal length to about half a percent."""
-    fitted = calibrate(*boards, BOARD, SQUARE)
+    fitted = calibrate_pair(*boards, BOARD, SQUARE)
     assert fitted.used == tuple(range(len(POSES)))
     assert max(fitted.left_rms_px, fitted.right_rms_px, fitted.pair_rms_px) < 0.15
     assert fitted.epipolar_px < 0.1
@@ -76,17 +81,17 @@ def test_the_cameras_are_found(boards):
 def test_a_pair_without_a_whole_board_is_left_out(boards):
     left, right = ([*pictures] for pictures in boards)
     right[2] = np.full_like(right[2], 200)
-    assert calibrate(left, right, BOARD, SQUARE).used == (0, 1, 3, 4, 5, 6)
+    assert calibrate_pair(left, right, BOARD, SQUARE).used == (0, 1, 3, 4, 5, 6)
 
 
 def test_what_cannot_be_calibrated_is_refused(boards):
     left, right = boards
     with pytest.raises(CalibrationError, match="7 left pictures and 6 right ones"):
-        calibrate(left, right[:-1], BOARD, SQUARE)
+        calibrate_pair(left, right[:-1], BOARD, SQUARE)
     with pytest.raises(CalibrationError, match=r"several sizes \(200x150, 400x300\)"):
-        calibrate(left, [*right[:-1], right[-1][::2, ::2]], BOARD, SQUARE)
+        calibrate_pair(left, [*right[:-1], right[-1][::2, ::2]], BOARD, SQUARE)
     with pytest.raises(CalibrationError, match=r"9x7 .* whole in 0 of 7 pairs .* check board="):
-        calibrate(left, right, (9, 7), SQUARE)
+        calibrate_pair(left, right, (9, 7), SQUARE)
 
 
 def test_the_command_writes_what_a_run_reads(folders, tmp_path, capsys):
@@ -96,7 +101,7 @@ def test_the_command_writes_what_a_run_reads(folders, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "board whole in 7 of 7 pairs" in said and "reprojection rms: left 0." in said
     assert "right camera at 1" in said and f"wrote {out}" in said
-    back = read_calibration(out)
+    back = read_rectification(out)
     assert isinstance(back, Rectification) and back.geometry.baseline_m == pytest.approx(0.12, abs=0.002)
     assert main(line) == 6 and "--overwrite" in capsys.readouterr().err
     assert main([*line, "--overwrite"]) == 0

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track.vision.correlation import halves, scaled_answers, spectral_halves, tile_spectra
-from bayesnet_track.vision.kernels.correlation_kernels import conjugate_product, read_answers
+from bayesnet_track.vision.kernels.correlation_kernels import add_answers, conjugate_product
 
 
 @pytest.mark.parametrize(("side", "around"), [(8, 24), (10, 30), (24, 64)])
@@ -57,7 +57,7 @@ def test_answers_are_exact_for_quadratics_between_cells_and_lines_between_levels
     x, y, levels = rng.uniform(1, 10, 50), rng.uniform(1, 10, 50), rng.uniform(-1, 1, 50)
     boxes = np.column_stack([100 + 3.0 * (x - 5.5), 60 + 3.0 * (y - 5.5), x, x])  # cells of 3 px
     read, which, shares = np.ones(50), np.arange(0, 50, 2), np.tile([0.0, 0.5, 0.5, 1.0, 1.0], 5)
-    read_answers(maps, -1, boxes, (100.0, 60.0, 3.0), which, levels[which], shares, read)
+    add_answers(maps, -1, boxes, (100.0, 60.0, 3.0), which, levels[which], shares, read)
     expected = 1.0 + shares * value(levels, x, y)[which]
     np.testing.assert_allclose(read[which], expected, rtol=1e-6)  # maps are float32
     assert (read[1::2] == 1.0).all()
@@ -67,5 +67,5 @@ def test_places_beyond_the_map_read_its_rim() -> None:
     maps = np.random.default_rng(3).normal(size=(1, 8, 8)).astype(np.float32)
     x = np.array([-5.0, 1.0, 99.0, 6.0])
     boxes, read = np.column_stack([x, np.full((4, 3), 4.0)]), np.zeros(4)
-    read_answers(maps, 0, boxes, (3.5, 3.5, 1.0), np.arange(4), np.zeros(4), np.ones(4), read)
+    add_answers(maps, 0, boxes, (3.5, 3.5, 1.0), np.arange(4), np.zeros(4), np.ones(4), read)
     assert read[0] == read[1] and read[2] == read[3] == maps[0, 4, 6]

@@ -14,7 +14,7 @@ from bayesnet_track.vision.points import (
     cut_patches,
     displace,
     flat_motion,
-    moments,
+    matrix_moments,
     predict_matrices,
     working_points,
 )
@@ -66,7 +66,7 @@ def test_a_point_on_an_edge_follows_the_object():
     found = displace(points, np.roll(image, (3, 2), axis=(0, 1)), (0, 0), 1.0, STILL, matching)
     edge = found.points.motion[3]
     assert edge.sum(axis=0)[5 + 2] > 0.99  # the edge moves by 2 across, whatever it does along
-    assert edge.max() < 0.15 and np.sqrt(moments(edge)[1][1, 1]) > 2.5
+    assert edge.max() < 0.15 and np.sqrt(matrix_moments(edge)[1][1, 1]) > 2.5
     # The edge's own matrix draws the mean of P_sum to (9 + 0) / 4 = 2.25: it moves by 2, a corner by 3.
     assert found.motion[1] == pytest.approx(2.25, abs=0.05)
     np.testing.assert_array_equal(found.points.at, points.at + np.array([[2, 3], [2, 3], [2, 3], [2, 2]]))
@@ -115,7 +115,7 @@ def test_the_prediction_adds_noise_and_moves_with_the_range():
     points = Points(np.zeros((1, 2), np.int64), np.zeros((1, 3, 3)), motion, np.array([1, 1]))
     centre = np.array([-2, 2])
     moved = predict_matrices(points, 2.0, centre, matching)[0]
-    mean, covariance = moments(moved)
+    mean, covariance = matrix_moments(moved)
     np.testing.assert_allclose(mean + centre, [-3, 4], atol=1e-3)  # as before: 1 - 4, 1 + 3
     np.testing.assert_allclose(np.diag(covariance), 8.0, rtol=1e-3)  # 2 px^2 per frame, dt 2
     flat = Points(points.at, points.patches, flat_motion(1, matching), np.array([30, 0]))

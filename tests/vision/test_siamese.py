@@ -21,7 +21,7 @@ from bayesnet_track.vision.siamese_crops import (
     Crop,
     Memory,
     crops_for,
-    plain,
+    plain_correlator,
     search_crop,
     template_crop,
     wide_crop,
@@ -191,7 +191,7 @@ def test_a_head_whose_shape_cannot_be_told_takes_no_smaller_crop(tmp_path, files
 @pytest.mark.parametrize(("contrast", "is_seen"), [(0, False), (4, False), (40, True)])
 def test_a_flat_crop_shows_nothing_whatever_the_network_says(contrast, is_seen):
     sure = Response(np.ones((16, 16), np.float32), np.full((4, 16, 16), 20, np.float32), STRIDE)
-    stand_in = plain()
+    stand_in = plain_correlator()
     memory = Memory(Networks(stand_in.describe, lambda template, crop, size: sure))
     image = np.zeros((240, 320, 3), np.uint8)
     image[110:130, 150:170] = contrast
@@ -202,7 +202,7 @@ def test_a_flat_crop_shows_nothing_whatever_the_network_says(contrast, is_seen):
 
 
 def test_the_network_runs_once_for_the_same_question():
-    runs, stand_in = [], plain()
+    runs, stand_in = [], plain_correlator()
     memory = Memory(Networks(stand_in.describe, lambda *given: runs.append(1) or stand_in.compare(*given)))
     image, size = bright(160, 120), np.array([40.0, 40.0])
     crop, template = search_crop(160.0, 120.0, size), np.full((TEMPLATE, TEMPLATE, 3), 9, np.uint8)
@@ -232,7 +232,7 @@ def test_a_wide_crop_shows_what_is_beyond_the_usual_one_at_its_size():
     image, size = np.full((240, 320, 3), 90, np.uint8), np.array([40.0, 40.0])
     image[90:130, 210:250] = pattern
     there = np.array([229.5, 109.5, 40.0, 40.0])
-    template, memory = template_crop(there).cut(image), Memory(plain())
+    template, memory = template_crop(there).cut(image), Memory(plain_correlator())
     x, y = there[:2] - [90.0, 0.0]
     boxes, logs = memory.proposals(image, wide_crop(x, y, size), template, size)
     assert logs[0] > np.log(0.7)

@@ -12,7 +12,7 @@ from bayesnet_track.vision.calibration import (
     Cameras,
     Rectification,
     RectifiedPair,
-    read_calibration,
+    read_rectification,
     rectification,
     write_calibration,
 )
@@ -31,13 +31,13 @@ def cameras(shift=(-0.2, 0.01, 0.005), turn=(0.01, -0.03, 0.02)):
 def test_a_rectified_pair_comes_back(tmp_path):
     path = tmp_path / "pair.yml"
     write_calibration(path, RectifiedPair(320, 240, GEOMETRY, 0.0002))
-    assert read_calibration(path) == RectifiedPair(320, 240, GEOMETRY, 0.0002)
+    assert read_rectification(path) == RectifiedPair(320, 240, GEOMETRY, 0.0002)
 
 
 def test_cameras_come_back_and_opencv_reads_them(tmp_path):
     path = tmp_path / "cameras.yml"
     write_calibration(path, cameras())
-    back = read_calibration(path)
+    back = read_rectification(path)
     assert isinstance(back, Rectification)
     assert back.geometry == rectification(cameras()).geometry
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
@@ -83,7 +83,7 @@ def test_eyes_that_are_not_left_and_right_are_refused(shift, tmp_path):
     path = tmp_path / "swapped.yml"
     write_calibration(path, cameras(shift=shift))
     with pytest.raises(CalibrationError, match="exchange left and right"):
-        read_calibration(path)
+        read_rectification(path)
 
 
 HEAD = "%YAML:1.0\n---\nimage_width: 320\nimage_height: 240\n"
@@ -115,7 +115,7 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, text, said):
     if text is not None:
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(CalibrationError, match=said) as raised:
-        read_calibration(path)
+        read_rectification(path)
     assert str(path) in str(raised.value) and "calibrate" in str(raised.value)
 
 

@@ -140,11 +140,11 @@ def log_message(measured: Measurement, hypotheses: Hypotheses, fields: tuple[str
 
 def observe_fields(measurement: Measurement, fields: tuple[str, ...]) -> Floats:
     """(K, D) H: the rows of the identity for the fields measured."""
-    return np.eye(len(fields))[list(columns_of(measurement.fields, fields))]
+    return np.eye(len(fields))[list(_columns_of(measurement.fields, fields))]
 
 
 @lru_cache(maxsize=256)
-def columns_of(measured: tuple[str, ...], fields: tuple[str, ...]) -> tuple[int, ...]:
+def _columns_of(measured: tuple[str, ...], fields: tuple[str, ...]) -> tuple[int, ...]:
     """(K,) the columns of what was measured among the fields of a state."""
     return tuple(fields.index(name) for name in measured)
 
@@ -176,7 +176,7 @@ class SigmaPoints:
     beta: LogWeights
 
 
-def is_flat(log_likelihood: Floats) -> bool:
+def _is_flat(log_likelihood: Floats) -> bool:
     """True when no hypothesis is likelier than another, up to rounding."""
     low, high = float(log_likelihood.min()), float(log_likelihood.max())
     return math.isfinite(high) and high - low <= FLAT * max(1.0, abs(high))
@@ -195,7 +195,7 @@ def match_moments(
     Raises:
         DegenerateWeights: no hypothesis has a positive, finite weight.
     """
-    if is_flat(log_likelihood):
+    if _is_flat(log_likelihood):
         return mean, covariance, float(points.beta.weights @ log_likelihood)
     with np.errstate(invalid="ignore"):  # -inf + inf is NaN, which `times` refuses
         weights, log_evidence = points.beta.times(log_likelihood)
@@ -347,7 +347,7 @@ def take(
 def update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], measurement: Measurement) -> Updated:
     """The update by a measurement of fields of the state."""
     if measurement.variances is not None:
-        columns = columns_of(measurement.fields, fields)
+        columns = _columns_of(measurement.fields, fields)
         return update_by_fields(mean, covariance, columns, measurement.mean, measurement.variances)
     observe = observe_fields(measurement, fields)
     return linear_update(mean, covariance, measurement.mean - observe @ mean, observe, measurement.covariance)
@@ -395,7 +395,7 @@ def update_seen(
     if not (np.isfinite(update.mean).all() and np.isfinite(update.covariance).all()):
         return None
     if quantities.shared:
-        columns = columns_of(quantities.shared, fields)
+        columns = _columns_of(quantities.shared, fields)
         moments = allow_for(columns, (mean, covariance), (update.mean, update.covariance))
         update = evolve(update, mean=moments[0], covariance=moments[1])
     return update

@@ -29,8 +29,8 @@ from bayesnet_track.belief.contract import (
 )
 from bayesnet_track.belief.grid.cells import (
     GridBelief,
+    GridLimits,
     Lattice,
-    Limits,
     ask_again,
     limits_of,
     log_gaussian,
@@ -81,7 +81,7 @@ def judge_in_box(rule: spec.Reset, prior: GridBelief, box: Floats, log_likelihoo
 
 
 def judge_on_image(
-    rule: spec.Reset, prior: GridBelief, limits: Limits, log_evidence: float, ask: Ask
+    rule: spec.Reset, prior: GridBelief, limits: GridLimits, log_evidence: float, ask: Ask
 ) -> Verdict:
     """gamma over the image, whose mean likelihood is taken at up to `COARSE` places of its own.
 
@@ -123,7 +123,7 @@ def unknown_velocity(belief: GridBelief, positions: Floats) -> GridBelief:
     return replace(belief, mass=mass / mass.sum())
 
 
-def window_around(belief: GridBelief, place: Floats, limits: Limits) -> GridBelief:
+def window_around(belief: GridBelief, place: Floats, limits: GridLimits) -> GridBelief:
     """An even belief of unknown velocity over the window around a place (x, y), cut to the image."""
     lattice = belief.lattice
     spans: list[tuple[int, int]] = []

@@ -203,7 +203,7 @@ class Patch:
 
 
 @dataclass(frozen=True)
-class Limits:
+class GridLimits:
     """First and last column and row of the image (None: no borders), and most cells of a window."""
 
     columns: tuple[int, int] | None
@@ -211,19 +211,19 @@ class Limits:
     window: int
 
 
-def limits_of(lattice: Lattice, motion: MotionModel, window: int) -> Limits:
+def limits_of(lattice: Lattice, motion: MotionModel, window: int) -> GridLimits:
     """The columns and rows of the image that a confined motion keeps to."""
     if not isinstance(motion, Confined):
-        return Limits(None, None, window)
+        return GridLimits(None, None, window)
     bounds: list[tuple[int, int]] = []
     for anchor, size in zip(lattice.anchor, (motion.width, motion.height), strict=True):
         low = int(np.ceil(-anchor / lattice.cell_px - 1e-9))
         high = int(np.floor((size - 1 - anchor) / lattice.cell_px + 1e-9))
         bounds.append((low, high) if low <= high else (low, low))
-    return Limits(bounds[0], bounds[1], window)
+    return GridLimits(bounds[0], bounds[1], window)
 
 
-def crop_patch(patch: Patch, limits: Limits, size: int) -> Patch:
+def crop_patch(patch: Patch, limits: GridLimits, size: int) -> Patch:
     """The masses inside the image, without empty borders, and at most `size` cells to a side."""
     column_masses = patch.mass.sum(axis=(0, 1, 2))
     column, keep, ends = find_kept(column_masses, patch.column, limits.columns, size)

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.grid.cells import (
     GridBelief,
+    GridLimits,
     Lattice,
-    Limits,
     Patch,
     X,
     Y,
@@ -79,7 +79,7 @@ class Leap:
 
 
 def leapt(
-    patch: Patch, x_leaps: Sequence[Leap], y_leaps: Sequence[Leap], shares: Floats, limits: Limits
+    patch: Patch, x_leaps: Sequence[Leap], y_leaps: Sequence[Leap], shares: Floats, limits: GridLimits
 ) -> Patch:
     """A patch after a gap; `x_leaps` and `y_leaps` say what each component of the noise does to x and y.
 
@@ -285,7 +285,7 @@ def scale_sd(motion: MotionModel, state: Floats, dt: float) -> float:
 
 
 def _move(
-    patch: Patch, steps: tuple[AxisStep, AxisStep], shares: Floats, lattice: Lattice, limits: Limits
+    patch: Patch, steps: tuple[AxisStep, AxisStep], shares: Floats, lattice: Lattice, limits: GridLimits
 ) -> Patch:
     """One scale's masses after the motion. The wide part of the noise takes all axes together."""
     velocities, cell = lattice.velocities, lattice.cell_px
@@ -332,7 +332,7 @@ def _bound(
     step: AxisStep,
     noise: tuple[Floats, Floats],
     lattice: Lattice,
-    limits: Limits,
+    limits: GridLimits,
 ) -> AxisStep:
     """The step, with a spread of at most that of a target which may be anywhere in the image.
 

@@ -10,7 +10,7 @@ from bayesnet_track.belief.contract import Ancestors, MotionModel, hypotheses_of
 from bayesnet_track.belief.motion.borders import Confined, Wrapped
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.particles.fitted import flatten
+from bayesnet_track.belief.particles.fitted import flatten_to_ess
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.numerics.arrays import Floats
@@ -327,7 +327,7 @@ def _probe(inputs: Inputs, jumping: Jumping, states: Floats, rng: np.random.Gene
     equal = LogWeights.uniform(len(cells))
     evidence = inputs.evaluate(hypotheses_of(probes, inputs.prior.fields), equal.log)
     try:
-        weights = flatten(equal, evidence.log_likelihood, min(LEAST_PLACES, len(cells) / 2))[1]
+        weights = flatten_to_ess(equal, evidence.log_likelihood, min(LEAST_PLACES, len(cells) / 2))[1]
     except DegenerateWeights:
         return None
     return Places(low, low + step, weights.weights)

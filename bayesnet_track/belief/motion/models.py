@@ -79,7 +79,7 @@ def move_rows(dynamics: Rows, diffusion: float, dt: float) -> Rows:
     return _rows(steps(dynamics, diffusion, dt)[0])
 
 
-def driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator) -> Floats:
+def _driven(states: Floats, parents: Ancestors, moves: Rows, root: Rows, rng: np.random.Generator) -> Floats:
     """States moved from `parents` by the rows of the transition and of the noise's root, for both axes."""
     from bayesnet_track.numerics.kernels import box_kernels as kernels
 
@@ -207,7 +207,7 @@ class KinematicMotion:
             propagated = self.drift(states if parents is None else states.take(parents, axis=0), dt)
         else:
             parents = np.arange(len(states)) if parents is None else parents
-            propagated = driven(
+            propagated = _driven(
                 plain_states(states), parents, *step_rows(self.dynamics, self.diffusion, dt), rng
             )
         add_noise(self.noise, propagated[:, :4], rng, dt, self.least_side)

@@ -40,10 +40,10 @@ class Constant:
     prior: tuple[float, ...]
 
 
-def key_of(constant: str, value: str) -> str:
+def mode_key(constant: str, value: str) -> str:
     """Name of a value's probability in results.
 
-    >>> key_of("team", "red")
+    >>> mode_key("team", "red")
     'team=red'
     """
     return f"{constant}={value}"
@@ -107,7 +107,7 @@ class Modes:
         parts = [[self.ways[number] for number in self.index[FIELD]]]
         for constant in self.constants:
             parts.append(
-                [key_of(constant.name, constant.values[number]) for number in self.index[constant.name]]
+                [mode_key(constant.name, constant.values[number]) for number in self.index[constant.name]]
             )
         return tuple(" ".join(filter(None, words)) for words in zip(*parts, strict=True))
 
@@ -150,7 +150,7 @@ class Modes:
             counted = np.bincount(self.index[constant.name], probabilities, minlength=len(constant.values))
             shares = (counted / max(float(counted.sum()), 1e-300)).tolist()
             marginals.update(
-                zip((key_of(constant.name, value) for value in constant.values), shares, strict=True)
+                zip((mode_key(constant.name, value) for value in constant.values), shares, strict=True)
             )
         return marginals
 
@@ -291,7 +291,7 @@ class Modal:
         if self.prior is not None:
             states = self.prior.applied_to(self._first.fields, states, box, rng)
         points = (rng.permutation(size) + rng.random(size)) / size
-        return _with(states, draw(np.tile(self.modes.start(), (size, 1)), points))
+        return _with(states, draw_mode(np.tile(self.modes.start(), (size, 1)), points))
 
     def start_moments(self, box: Floats) -> tuple[Floats, Floats]:
         """(D - 1,) mean and covariance without the mode."""
@@ -308,7 +308,7 @@ class Modal:
         modes = previous[:, -1].astype(np.intp)
         if not self.settled:
             points = (rng.permutation(len(previous)) + rng.random(len(previous))) / len(previous)
-            modes = draw(self.chain.over(dt)[modes], points)
+            modes = draw_mode(self.chain.over(dt)[modes], points)
         inner_states = np.ascontiguousarray(previous[:, :-1])
         moved_states = np.empty_like(inner_states)
         for motion, rows in self._groups(modes):
@@ -370,7 +370,7 @@ class Modal:
         return moved_rows
 
 
-def draw(probabilities: Floats, points: Floats) -> NDArray[np.intp]:
+def draw_mode(probabilities: Floats, points: Floats) -> NDArray[np.intp]:
     """(N,) a mode for each row of probabilities (N, K), by points (N,) in 0..1."""
     cumulative = probabilities.cumsum(axis=1)[:, :-1]
     return np.asarray((points[:, None] >= cumulative).sum(axis=1), dtype=np.intp)

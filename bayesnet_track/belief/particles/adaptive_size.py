@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Ancestors, MotionModel, hypotheses_of
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.jumps import Jumping, draw_jumps, jumping_of, modal_of, report_reappeared
-from bayesnet_track.belief.motion.modes import Modal, draw
+from bayesnet_track.belief.motion.modes import Modal, draw_mode
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.sample_size import (
     FrameSample,
@@ -72,7 +72,7 @@ def draw_modes(inputs: Inputs, ancestors: NDArray[np.intp], beta_log: Floats) ->
     can_follow = chain > 0
     drawn_by = (1.0 - EVENLY) * chain + EVENLY * can_follow / can_follow.sum(axis=1, keepdims=True)
     previous_modes, size = states[:, -1].astype(np.intp), len(states)
-    modes = draw(drawn_by[previous_modes], (rng.permutation(size) + rng.random(size)) / size)
+    modes = draw_mode(drawn_by[previous_modes], (rng.permutation(size) + rng.random(size)) / size)
     states[:, -1] = modes
     prior_log = beta_log + np.log(chain[previous_modes, modes] / drawn_by[previous_modes, modes])
     mode_inputs = replace(inputs, prior=replace(prior, states=states), motion=_settle(inputs.motion))

@@ -230,7 +230,7 @@ def reweight_step(step: Step[ParticleSet], log_likelihood: Floats) -> Step[Parti
     )
 
 
-def find_maps(steps: Iterable[Step[Any]]) -> None:
+def find_map_states(steps: Iterable[Step[Any]]) -> None:
     """Find `map_state` of the steps of particle filters that share a motion, before anybody asks for it.
 
     Other steps find theirs when they are asked. Every row of states moves by itself, so that the states of

@@ -97,7 +97,7 @@ Many make a fit that is right for one mode. Few stay within the mode that the fr
 has several: the flatter a likelihood, the more it is of all of them."""
 
 
-def flatten(beta: LogWeights, log_likelihood: Floats, least_ess: float) -> tuple[float, LogWeights]:
+def flatten_to_ess(beta: LogWeights, log_likelihood: Floats, least_ess: float) -> tuple[float, LogWeights]:
     """t in (0, 1] and beta L^t, normalised, with an effective size from `least_ess` on where it can be had.
 
     Raises:

@@ -19,12 +19,12 @@ from bayesnet_track.belief.particles.adaptive_size import (
     resize_by,
     start_size,
 )
-from bayesnet_track.belief.particles.fitted import Kernels, flatten, log_prior
+from bayesnet_track.belief.particles.fitted import Kernels, flatten_to_ess, log_prior
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.proposals import (
     CombinedSample,
     Draws,
-    confine,
+    confine_to_image,
     draw_by_parents,
     draw_fitted,
     log_sum,
@@ -109,11 +109,11 @@ def edit(inputs: Inputs, first: WeightedSample, settings: PriorEditing) -> Weigh
     log_kept[best_index] = 0.0  # at least its level, which may be -inf
     with np.errstate(divide="ignore"):
         accepted = np.flatnonzero(np.log(inputs.stream("reject").random(len(sample))) < log_kept)
-    survivors = select(sample, accepted)
+    survivors = select_hypotheses(sample, accepted)
     return reweight_sample(survivors, survivors.prior_log - log_kept[accepted])
 
 
-def select(sample: WeightedSample, index: Ancestors) -> WeightedSample:
+def select_hypotheses(sample: WeightedSample, index: Ancestors) -> WeightedSample:
     """Some of a pass' hypotheses, by index, with their evidence."""
     evidence = sample.evidence
     part: Evidence = replace(
@@ -172,7 +172,7 @@ def refine(inputs: Inputs, first: WeightedSample, settings: IteratedProposal) ->
             for each in mixtures
         ]
         log_alone = -np.log(n) - ratios[-1][len(sample) :]
-        states = confine(inputs.motion, states)
+        states = confine_to_image(inputs.motion, states)
         refinement = evaluate_sample(inputs, states, LogWeights.normalise(log_alone)[0].log, ancestors)
         if refinement.evidence.faults.keys() != first.evidence.faults.keys():
             return None
@@ -185,7 +185,7 @@ def refine(inputs: Inputs, first: WeightedSample, settings: IteratedProposal) ->
 def _fit_kernels(points: Floats, sample: WeightedSample, bandwidth: float) -> Kernels:
     """Kernels around weighted hypotheses, by the normal reference rule for their effective size."""
     size = points.shape[1]
-    _, weights = flatten(prior_of(sample), sample.evidence.log_likelihood, LEAST_EFFECTIVE)
+    _, weights = flatten_to_ess(prior_of(sample), sample.evidence.log_likelihood, LEAST_EFFECTIVE)
     spread = weighted_moments(points, weights.weights)[1]
     width = bandwidth * (4.0 / ((size + 2) * weights.ess)) ** (1.0 / (size + 4))
     scale = np.diag(np.maximum(np.diagonal(spread), 1e-12))
@@ -218,7 +218,7 @@ def mixture_pass(inputs: Inputs, size: int, settings: LikelihoodMixture) -> Weig
     points = transition.coordinates(states)[0]
     log_ratio = kernels.log_density(points) - log_prior(transition, beta, points)
     prior_log = -np.logaddexp(np.log(size - part), np.log(part) + log_ratio)
-    sources, states = np.concatenate([ancestors[stay], parents]), confine(inputs.motion, states)
+    sources, states = np.concatenate([ancestors[stay], parents]), confine_to_image(inputs.motion, states)
     return reweight_sample(
         evaluate_sample(inputs, states, LogWeights.normalise(prior_log)[0].log, sources), prior_log
     )

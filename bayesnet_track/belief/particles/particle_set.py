@@ -12,7 +12,7 @@ from bayesnet_track.belief.contract import Evaluate, MotionModel, Stream, hypoth
 from bayesnet_track.belief.particles.sample_size import SizeMemory
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import weighted_mass_in_disc
-from bayesnet_track.numerics.log_weights import LogWeights, select, uncertainty_deviation
+from bayesnet_track.numerics.log_weights import LogWeights, column_index, uncertainty_deviation
 from bayesnet_track.numerics.resampling import resample
 from bayesnet_track.observation.cue import Hypotheses
 from bayesnet_track.observation.planes import read_only
@@ -64,7 +64,7 @@ class ParticleSet:
 
     def uncertainty(self, reference: Floats, columns: Sequence[int]) -> float:
         """UD = sum w |s - about|^2 over the columns of the state."""
-        selection = select(columns)
+        selection = column_index(columns)
         return uncertainty_deviation(self.states[:, selection], self.weights.weights, reference[selection])
 
     def mass_within(self, centre: Floats, radius: float) -> tuple[float, float]:

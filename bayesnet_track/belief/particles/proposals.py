@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from bayesnet_track.belief.contract import Ancestors, MotionModel
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.particles.fitted import EFFECTIVE, flatten
+from bayesnet_track.belief.particles.fitted import EFFECTIVE, flatten_to_ess
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.sample_size import WeightedSample, prior_of
 from bayesnet_track.graph.settings.beliefs import SecondPassProposal
@@ -59,7 +59,7 @@ def fit_message(
     Raises:
         DegenerateWeights: no hypothesis has a positive, finite weight.
     """
-    power, posterior = flatten(beta, log_likelihood, min(effective, len(points) / 4))
+    power, posterior = flatten_to_ess(beta, log_likelihood, min(effective, len(points) / 4))
     centre, spread = weighted_moments(points, beta.weights)
     mean, covariance = weighted_moments(points, posterior.weights)
     # In coordinates in which the prior has covariance 1.
@@ -185,7 +185,7 @@ class CombinedSample:
     log_second: float
 
 
-def confine(motion: MotionModel, states: Floats) -> Floats:
+def confine_to_image(motion: MotionModel, states: Floats) -> Floats:
     """`states` (N, D), changed in place to lie on the image where `motion` is confined to it."""
     return motion.confine(states) if isinstance(motion, Confined) else states
 
@@ -248,7 +248,7 @@ def draw_fitted(inputs: Inputs, first: WeightedSample, settings: SecondPassPropo
     # Densities are those of the model without borders, so they are taken before states are confined.
     of_second = log_ratio(transition.coordinates(states)[0], ancestors)
     return Draws(
-        confine(motion, states),
+        confine_to_image(motion, states),
         ancestors,
         of_second,
         log_ratio(points, first.ancestors),

@@ -22,7 +22,7 @@ class BatchError(ValueError):
 
 
 @dataclass(frozen=True)
-class Video:
+class BatchVideo:
     """One video of a batch.
 
     Attributes:
@@ -59,7 +59,7 @@ class Job:
     """
 
     graph: str
-    video: Video
+    video: BatchVideo
     seed: int
     out: str
     end: int | None = None
@@ -86,7 +86,7 @@ class Job:
         lists = {name: tuple(values[name]) for name in ("plugins", "cue_files")}
         if values["value_range"] is not None:
             lists["value_range"] = tuple(values["value_range"])
-        return cls(**{**values, "video": Video(**values["video"]), **lists})
+        return cls(**{**values, "video": BatchVideo(**values["video"]), **lists})
 
 
 @dataclass(frozen=True)
@@ -123,12 +123,12 @@ class Part:
         """It as part of a file's name."""
         return f"{self.number}-of-{self.count}"
 
-    def select(self, videos: Sequence[Video]) -> list[Video]:
+    def select(self, videos: Sequence[BatchVideo]) -> list[BatchVideo]:
         """Its videos: every `count`-th."""
         return list(videos[self.number - 1 :: self.count])
 
 
-def allow(job: Job) -> None:
+def allow_job(job: Job) -> None:
     """Let the code from elsewhere that the job names be loaded in this process.
 
     Raises:
@@ -158,7 +158,9 @@ LONGEST_NAME = 200
 """Bytes of a name, which leave room for the seed."""
 
 
-def videos_of(sources: Sequence[str], init_from: str | None = None, truth: str | None = None) -> list[Video]:
+def videos_of(
+    sources: Sequence[str], init_from: str | None = None, truth: str | None = None
+) -> list[BatchVideo]:
     """The videos that patterns name, sorted; `init_from` and `truth` are patterns of a video's own file.
 
     In these, ``{name}`` is the video's name and ``{folder}`` the folder that it, or its images, are in.
@@ -176,12 +178,12 @@ def videos_of(sources: Sequence[str], init_from: str | None = None, truth: str |
         paths += names
     named = _unique([_name(source) for source in paths])
     return [
-        Video(source, name, None, _fill(init_from, source, name), _fill(truth, source, name))
+        BatchVideo(source, name, None, _fill(init_from, source, name), _fill(truth, source, name))
         for source, name in zip(paths, named, strict=True)
     ]
 
 
-def read_list(path: Path) -> list[Video]:
+def read_list(path: Path) -> list[BatchVideo]:
     """The videos of a list: CSV with a header (`COLUMNS`), or an object of JSON a line.
 
     Raises:
@@ -195,7 +197,7 @@ def read_list(path: Path) -> list[Video]:
         raise BatchError(f"{path}: no video in it")
     names = _listed_names(lines)
     return [
-        Video(row["source"], name, *(row.get(key) or None for key in COLUMNS[2:]))
+        BatchVideo(row["source"], name, *(row.get(key) or None for key in COLUMNS[2:]))
         for (_, row), name in zip(lines, names, strict=True)
     ]
 

@@ -94,7 +94,7 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def explained(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     """An error in words, with a cure where it is the limit on open files."""
     if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
         return f"{error.strerror}: {MANY_FILES}"
@@ -109,7 +109,7 @@ ENDING_S = 5.0
 
 
 @dataclass(frozen=True)
-class Progress:
+class JobProgress:
     """A report of a job.
 
     Attributes:
@@ -127,10 +127,10 @@ class Progress:
     notice: str | None = None
 
 
-class Place(Protocol):
+class JobPlace(Protocol):
     """A place where jobs run."""
 
-    def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
+    def run(self, jobs: Sequence[Job]) -> Generator[JobProgress | None, None, None]:
         """Do the jobs; what is reported of them as it comes, each one's row in the end, None when all is
         quiet.
 
@@ -154,9 +154,9 @@ class Processes:
     at_a_time: int
     timeout_s: float | None = None
 
-    def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
-        """Do the jobs as a `Place` does."""
-        reports: SimpleQueue[Progress] = SimpleQueue()
+    def run(self, jobs: Sequence[Job]) -> Generator[JobProgress | None, None, None]:
+        """Do the jobs as a `JobPlace` does."""
+        reports: SimpleQueue[JobProgress] = SimpleQueue()
         workers = _Workers()
         pool = ThreadPoolExecutor(self.at_a_time)
         try:
@@ -177,24 +177,26 @@ class Processes:
             workers.close()
 
 
-def _supervise(job: Job, timeout_s: float | None, reports: SimpleQueue[Progress], workers: _Workers) -> None:
+def _supervise(
+    job: Job, timeout_s: float | None, reports: SimpleQueue[JobProgress], workers: _Workers
+) -> None:
     """Do a job in a process; its row is reported, whatever happens: the batch waits for it."""
     if workers.is_over.is_set():
         return
     row = failed_row(job, "its supervision ended")
     try:
-        reports.put(Progress(job))
+        reports.put(JobProgress(job))
         worker = workers.take()
         try:
             row = worker.do(job, timeout_s, reports)
         finally:
             workers.give_back(worker, is_good=row["status"] == FINISHED)
     except (OSError, ValueError) as error:
-        row = failed_row(job, explained(error))
+        row = failed_row(job, _error_text(error))
     except RuntimeError as error:  # no thread can be started
         row = failed_row(job, f"{error}; {MANY_FILES}")
     finally:
-        reports.put(Progress(job, row=row))
+        reports.put(JobProgress(job, row=row))
 
 
 class _Workers:
@@ -275,7 +277,7 @@ class _Worker:
         """True if the process has not ended."""
         return self._process.poll() is None
 
-    def do(self, job: Job, timeout_s: float | None, reports: SimpleQueue[Progress]) -> Row:
+    def do(self, job: Job, timeout_s: float | None, reports: SimpleQueue[JobProgress]) -> Row:
         """Have a job done; its row, also where the process ends without one."""
         self.jobs += 1
         late = threading.Event()
@@ -298,7 +300,7 @@ class _Worker:
             job, f"its process ended with {code}" + (f": {complaints[-1]}" if complaints else "")
         )
 
-    def _run_job(self, job: Job, reports: SimpleQueue[Progress]) -> Row | None:
+    def _run_job(self, job: Job, reports: SimpleQueue[JobProgress]) -> Row | None:
         """Give the process the job and report what it says; the row, or None where it ends without one."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(BrokenPipeError):  # it has ended already: its exit code says how
@@ -310,9 +312,9 @@ class _Worker:
                 row: Row = message["row"]
                 return row
             if "notice" in message:
-                reports.put(Progress(job, notice=message["notice"]))
+                reports.put(JobProgress(job, notice=message["notice"]))
             else:
-                reports.put(Progress(job, message["done"], message["expected"]))
+                reports.put(JobProgress(job, message["done"], message["expected"]))
         return None
 
     def terminate(self) -> None:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Any
 
-from bayesnet_track.cli.batch.jobs import Job, allow
-from bayesnet_track.cli.batch.places import MOST_JOBS, WAIT_S, Needs, Progress
+from bayesnet_track.cli.batch.jobs import Job, allow_job
+from bayesnet_track.cli.batch.places import MOST_JOBS, WAIT_S, JobProgress, Needs
 from bayesnet_track.cli.batch.work import EVERY_S, Row, failed_row, timed_out_row
 from bayesnet_track.runtime.executors.worker_pool import connect
 
@@ -40,7 +40,7 @@ class RayTasks:
     timeout_s: float | None = None
     needs: Needs = field(default_factory=Needs)
 
-    def run(self, jobs: Sequence[Job]) -> Generator[Progress | None, None, None]:
+    def run(self, jobs: Sequence[Job]) -> Generator[JobProgress | None, None, None]:
         """Do the jobs as a `Place` does.
 
         Raises:
@@ -73,7 +73,7 @@ class RayTasks:
                 messages = [pair for pair in _messages(reports) if pair[0] in expected]
                 yield from (_progress(jobs[number], message) for number, message in messages)
                 for number, promised in ended.items():
-                    yield Progress(jobs[number], row=_row(jobs[number], promised))
+                    yield JobProgress(jobs[number], row=_row(jobs[number], promised))
                 if not messages and not ended:
                     yield None
         finally:
@@ -105,10 +105,10 @@ def _messages(reports: Any) -> list[tuple[int, dict[str, Any]]]:
     return messages
 
 
-def _progress(job: Job, message: dict[str, Any]) -> Progress:
+def _progress(job: Job, message: dict[str, Any]) -> JobProgress:
     if "notice" in message:
-        return Progress(job, notice=message["notice"])
-    return Progress(job, message["done"], message["expected"])
+        return JobProgress(job, notice=message["notice"])
+    return JobProgress(job, message["done"], message["expected"])
 
 
 class _Reports:
@@ -152,7 +152,7 @@ def _finished_task(line: str, timeout_s: float | None, reports: Any, number: int
     try:
         tell({"done": 0, "expected": None})
         with heard(lambda text: tell({"notice": text})), by_command_line():
-            allow(job)
+            allow_job(job)
             return do(job, progress)
     except _Late:
         return timed_out_row(job, timeout_s or 0.0)

@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any, Self, TextIO
 
 from bayesnet_track.cli.batch.jobs import LEDGER, BatchError, Job
-from bayesnet_track.cli.batch.places import Progress
+from bayesnet_track.cli.batch.places import JobProgress
 from bayesnet_track.cli.batch.work import FINISHED, ROW, Row
 from bayesnet_track.journal.text.wording import plural
 from bayesnet_track.journal.writer import write_atomically, writing
 from bayesnet_track.runtime.recording.rundir import FILES
 from bayesnet_track.sources.paths import is_file
-from bayesnet_track.view.svg import element, text_of
+from bayesnet_track.view.svg import element, xml_text
 
 Mark = list[list[int]]
 """Size and time of the last change, in ns, of the manifest and of each file that is given."""
@@ -121,11 +121,11 @@ class BatchProgress:
     def __init__(self, stream: TextIO, jobs: Sequence[Job], is_terminal: bool, over: int = 0) -> None:
         """Of `jobs`, besides which `over` were finished before."""
         self._stream, self._redraws, self._all = stream, is_terminal, len(jobs) + over
-        self._running: dict[Job, Progress] = {}
+        self._running: dict[Job, JobProgress] = {}
         self._over, self._failed, self._drawn = over, 0, 0
         self._ends = deque([time.monotonic()], LAST + 1)
 
-    def update(self, report: Progress) -> None:
+    def update(self, report: JobProgress) -> None:
         """Take what is reported of a job, and show it."""
         lines = []
         if report.notice is not None:
@@ -173,11 +173,11 @@ class Silence:
     """Time of the last report of each job; says once of each silence that it lasts."""
 
     def __init__(self, time_s: float) -> None:
-        self._heard: dict[Job, tuple[float, Progress]] = {}
+        self._heard: dict[Job, tuple[float, JobProgress]] = {}
         self._last = time_s
         self._said: set[Job | None] = set()
 
-    def hear(self, report: Progress | None, time_s: float) -> list[str]:
+    def hear(self, report: JobProgress | None, time_s: float) -> list[str]:
         """Take a report, or that there was none; sentences about jobs not heard of for long."""
         if report is not None:
             self._last = time_s
@@ -252,7 +252,7 @@ def read_table(path: Path) -> dict[tuple[str, str], Row]:
     return {(str(row["video"]), str(row["seed"])): row for row in rows}
 
 
-def _so_far(report: Progress) -> str:
+def _so_far(report: JobProgress) -> str:
     return f"frame {report.done}" + ("" if report.expected is None else f"/{report.expected}")
 
 
@@ -260,7 +260,7 @@ EVERY_S, SHARE = 1.0, 20
 """Seconds after which the table is written again while it grows, or so many times what that takes."""
 
 
-class Results:
+class BatchTable:
     """The rows of a batch, and the file of its table: written anew while it grows, and when it is left.
 
     Rows that are there from before stay until there is another for the same video and seed. What is finished
@@ -293,7 +293,7 @@ class Results:
         if self._is_changed or not self._path.exists():
             self._write()
 
-    def add(self, report: Progress | None) -> None:
+    def add(self, report: JobProgress | None) -> None:
         """Take the row of a job that is over."""
         if report is not None and report.row is not None:
             self._rows[report.job], self._is_changed = report.row, True
@@ -397,11 +397,11 @@ def overview(heading: str, runs: Sequence[tuple[str, Row]], mean: Row, table: st
     surplus = len(runs) - len(listed)
     mean_line = _line(columns, mean | {"video": "mean of finished runs"}, "th") if mean else ""
     parts = [
-        f"<header><h1>{text_of(heading)}</h1><p>{text_of(count)}; all in ",
-        element("a", text_of(table), href=table),
+        f"<header><h1>{xml_text(heading)}</h1><p>{xml_text(count)}; all in ",
+        element("a", xml_text(table), href=table),
         "</p></header><section>",
         '<div class="wide"><table><thead><tr>',
-        *(element("th", text_of(name.replace("_", " ")), scope="col") for name in columns),
+        *(element("th", xml_text(name.replace("_", " ")), scope="col") for name in columns),
         f"</tr>{mean_line}</thead><tbody>",
         *(_line(columns, row, "td", folder) for folder, row in listed),
         "</tbody></table></div>",
@@ -420,7 +420,7 @@ def _line(columns: Sequence[str], row: Row, cell: str, folder: str | None = None
     texts = []
     for name in columns:
         value = row.get(name)
-        text = text_of("" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value))
+        text = xml_text("" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value))
         is_link = name == "video" and folder is not None
         texts.append(element("a", text, href=f"./{folder}/") if is_link else text)
     return f"<tr>{''.join(element(cell, text) for text in texts)}</tr>"

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.batch.jobs import BatchError, Job, allow
+from bayesnet_track.cli.batch.jobs import BatchError, Job, allow_job
 from bayesnet_track.runtime.run import Start
 
 if TYPE_CHECKING:
@@ -239,7 +239,7 @@ def main() -> int:
         job = Job.from_json(line)
         try:
             with heard(lambda text: send({"notice": text})), by_command_line():
-                allow(job)
+                allow_job(job)
                 row = do(job, progress_of(send))
         except (OSError, ValueError) as error:
             row = failed_row(job, " ".join(words(error).split()))

@@ -59,7 +59,7 @@ def annotate(options: argparse.Namespace) -> int:
             session, is_complete = _work(options, folder)
     except AnswersFileError as error:
         raise UsageError(str(error)) from error
-    say(describe(folder, session))
+    say(_describe(folder, session))
     if stop.between_frames():
         stop.signal = None  # what was closed is the view; every answer is kept
     return OK if is_complete else INCOMPLETE
@@ -134,7 +134,7 @@ def make_header(
     )
 
 
-def describe(folder: Path, session: Session) -> str:
+def _describe(folder: Path, session: Session) -> str:
     """Progress of the annotations, in a line each of frames and of questions."""
     from bayesnet_track.journal.text.wording import plural
 

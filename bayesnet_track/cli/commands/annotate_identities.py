@@ -22,7 +22,7 @@ from bayesnet_track.cli.arguments import (
 
 if TYPE_CHECKING:
     from bayesnet_track.journal.writer import LineFile
-    from bayesnet_track.runtime.annotation.identity_queue import IdentityQueue, Question
+    from bayesnet_track.runtime.annotation.identity_queue import IdentityQuestion, IdentityQueue
     from bayesnet_track.runtime.recording.run_reader import Run
 
 MOST = 10
@@ -107,7 +107,7 @@ def _answer(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: L
 def _show(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: LineFile) -> None:
     """Open the page until the person leaves."""
     from bayesnet_track.cli.following import announce
-    from bayesnet_track.runtime.annotation.identity_desk import IdentityServer, Pictures
+    from bayesnet_track.runtime.annotation.identity_desk import IdentityServer, JpegFrames
     from bayesnet_track.runtime.recording.run_reader import pictures_of
 
     frames = max((int(path.frame[-1]) for path in queue.tracklets.paths), default=0) + 1
@@ -121,7 +121,7 @@ def _show(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: Lin
     with pictures_of(run.directory, run.started, 0, frames - 1) as (images, why):
         if images is None:
             complain(f"the page shows boxes alone: {why}")
-        pictures = Pictures(() if images is None else images.images)
+        pictures = JpegFrames(() if images is None else images.images)
     address = (options.view_host, options.port)
     try:
         desk = IdentityServer(queue, file, header, options.most, pictures, address)
@@ -155,7 +155,7 @@ def _converse(options: argparse.Namespace, queue: IdentityQueue, file: LineFile)
     complain("nothing is left to ask")
 
 
-def _keys(question: Question) -> str:
+def _keys(question: IdentityQuestion) -> str:
     keep = "" if question.shown == "new" and not question.swap else "k keep, "
     swap = f"s swap with {question.swap}, " if question.swap else ""
     return f"{keep}{swap}n new, name, x skip, u undo, q"

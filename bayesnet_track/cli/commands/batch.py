@@ -30,16 +30,16 @@ from bayesnet_track.cli.arguments import (
 from bayesnet_track.cli.options import add_range_option, add_size_option
 
 if TYPE_CHECKING:
-    from bayesnet_track.cli.batch.jobs import Job, Part, Video
-    from bayesnet_track.cli.batch.places import Place, Progress
-    from bayesnet_track.cli.batch.results import Results
+    from bayesnet_track.cli.batch.jobs import BatchVideo, Job, Part
+    from bayesnet_track.cli.batch.places import JobPlace, JobProgress
+    from bayesnet_track.cli.batch.results import BatchTable
     from bayesnet_track.runtime.stop import StopRequest
 
 
 def batch(options: argparse.Namespace) -> int:
     """Track in many videos."""
     from bayesnet_track.cli.batch.jobs import TABLE
-    from bayesnet_track.cli.batch.results import BatchProgress, Ledger, Results, Silence
+    from bayesnet_track.cli.batch.results import BatchProgress, BatchTable, Ledger, Silence
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.graph.text.write import graph_sha256
@@ -67,7 +67,7 @@ def batch(options: argparse.Namespace) -> int:
     table = folder / (TABLE if part is None else f"results.{part.label}.csv")
     with users_mistake():
         ledger = Ledger(folder, "whole" if part is None else part.label, graph_sha256(graph.text))
-        results = Results(table, jobs, ledger)
+        results = BatchTable(table, jobs, ledger)
     todo = results.todo
     finished = len(jobs) - len(todo)
     if finished and not options.quiet:
@@ -93,11 +93,11 @@ def batch(options: argparse.Namespace) -> int:
     return INCOMPLETE if failed else OK
 
 
-def _nothing() -> Generator[Progress | None, None, None]:
+def _nothing() -> Generator[JobProgress | None, None, None]:
     yield from ()
 
 
-def _say_end(options: argparse.Namespace, results: Results, table: Path) -> int:
+def _say_end(options: argparse.Namespace, results: BatchTable, table: Path) -> int:
     """Write the overview, and say what came of the batch; how many runs did not finish."""
     from bayesnet_track.cli.batch.work import FINISHED
     from bayesnet_track.cli.commands.tracking import spread_text, summary_of
@@ -146,7 +146,7 @@ def _amount(text: str) -> int:
     return int(digits) * units[unit]
 
 
-def _place(options: argparse.Namespace, jobs: int) -> Place:
+def _place(options: argparse.Namespace, jobs: int) -> JobPlace:
     """The place of the runs; raises UsageError where the limit on open files allows none."""
     from bayesnet_track.cli.batch.places import Needs
 
@@ -168,7 +168,7 @@ def _place(options: argparse.Namespace, jobs: int) -> Place:
     return Processes(requested if limit is None else min(requested, limit), options.timeout)
 
 
-def _videos(options: argparse.Namespace) -> list[Video]:
+def _videos(options: argparse.Namespace) -> list[BatchVideo]:
     from dataclasses import replace
 
     from bayesnet_track.cli.arguments import parse_start
@@ -189,7 +189,7 @@ def _videos(options: argparse.Namespace) -> list[Video]:
     return videos
 
 
-def _jobs(options: argparse.Namespace, videos: list[Video], folder: Path) -> list[Job]:
+def _jobs(options: argparse.Namespace, videos: list[BatchVideo], folder: Path) -> list[Job]:
     from bayesnet_track.cli.batch.jobs import Job
 
     plugins = tuple(name for group in options.allow_plugins for name in group)

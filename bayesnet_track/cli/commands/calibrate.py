@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def calibrate_stereo(options: argparse.Namespace) -> int:
     """Calibrate a pair of cameras from pictures of a chessboard."""
-    from bayesnet_track.vision.calibration import calibrate as fit
+    from bayesnet_track.vision.calibration import calibrate_pair as fit
     from bayesnet_track.vision.calibration import write_calibration
 
     board, path = options.board, Path(options.out)

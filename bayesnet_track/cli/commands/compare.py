@@ -347,7 +347,7 @@ def _track_again(
     options: argparse.Namespace, first: Run, recipe: Recipe, graph: CheckedGraph, folder: Path
 ) -> int:
     """The run of a recipe with another graph or seed; what came from outside then comes again."""
-    from bayesnet_track.cli.following import Narrator, follow, users_start
+    from bayesnet_track.cli.following import Narrator, follow_run, users_start
     from bayesnet_track.runtime.results import Summary
 
     summary, seed = Summary(), recipe.seed if options.seed is None else options.seed
@@ -358,7 +358,7 @@ def _track_again(
                 first, recipe, source, graph, folder, seed=seed, overwrite=options.overwrite, sinks=sinks,
                 summary=summary,
             )  # fmt: skip
-        return follow(options, results, summary, source.expected_frames, folder)
+        return follow_run(options, results, summary, source.expected_frames, folder)
 
 
 def repeat(

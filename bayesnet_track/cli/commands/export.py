@@ -24,7 +24,7 @@ from bayesnet_track.cli.arguments import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from bayesnet_track.runtime.recording.run_reader import Data, Found, Run
+    from bayesnet_track.runtime.recording.run_reader import Data, Run, RunPictures
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
@@ -127,7 +127,7 @@ def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any]
     return truth
 
 
-def _write_folder(path: Path, data: Data, pictures: Found) -> None:
+def _write_folder(path: Path, data: Data, pictures: RunPictures) -> None:
     from bayesnet_track.view.run_page import FRAMES_FOLDER, full_pictures, picture_name, with_folder
 
     frames: dict[str, list[int]] = {}

@@ -27,15 +27,15 @@ from bayesnet_track.cli.commands.fit_text import (
     write_fitted,
 )
 from bayesnet_track.cli.fitting import (
-    Video,
+    AnnotatedVideo,
     add_motion,
     check_text,
     find_videos,
+    fit_cue_sds,
     fit_fusion,
     fit_motion_text,
     fit_policy,
-    fit_sds,
-    frames_of,
+    frames_before,
 )
 from bayesnet_track.cli.options import add_range_option
 from bayesnet_track.journal.disk import is_there
@@ -166,7 +166,7 @@ BEFORE = ("sds", "policy", "fusion")
 def fit(options: argparse.Namespace) -> int:
     """Estimate, print or write."""
     from bayesnet_track.evaluate.calibration import SIGNS, leave_one_out
-    from bayesnet_track.evaluate.calibration import fit as estimate
+    from bayesnet_track.evaluate.calibration import fit_calibration as estimate
     from bayesnet_track.graph.text.load import load_graph
 
     promises = options.guarantee is not None or options.alarm is not None
@@ -201,7 +201,7 @@ def fit(options: argparse.Namespace) -> int:
         check_text(written, str(path or options.graph))
         return _put(path, written, f"calibrated on {plural(len(videos), 'video')}")
     if "sds" in quantities:
-        text = fit_sds(text, graph, videos, options.end)
+        text = fit_cue_sds(text, graph, videos, options.end)
         graph = check_text(text, str(path or options.graph))
     if "fusion" in quantities:
         text = fit_fusion(text, graph, videos, options.end)
@@ -268,14 +268,14 @@ def _choose(option: str, text: str, available: Sequence[str]) -> tuple[str, ...]
 
 
 def _calibration_data(
-    graph: CheckedGraph, videos: Sequence[Video], options: argparse.Namespace, temperatures: bool
+    graph: CheckedGraph, videos: Sequence[AnnotatedVideo], options: argparse.Namespace, temperatures: bool
 ) -> list[CalibrationData]:
     from bayesnet_track.evaluate.calibration_data import calibration_data, with_features
 
     measuring, data = with_features(graph), []
     for video in videos:
         for seed in range(options.seeds):
-            with frames_of(video, options.end) as frames, users_mistake():
+            with frames_before(video, options.end) as frames, users_mistake():
                 video_data = calibration_data(measuring, video.name, frames, video.truth, seed, temperatures)
             complain(
                 f"{video.name}, seed {seed}: {video_data.frames} frames, mean IoU "

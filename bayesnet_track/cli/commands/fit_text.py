@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
-    from bayesnet_track.evaluate.calibration import Checked, Fitted
+    from bayesnet_track.evaluate.calibration import Checked, FittedCalibration
     from bayesnet_track.graph.checked import CheckedGraph
     from bayesnet_track.graph.spec import Logistic
 
@@ -41,7 +41,7 @@ def _score_of(graph: CheckedGraph) -> Logistic | None:
     return None if score is None else score.settings
 
 
-def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, quantities: Sequence[str]) -> str:
+def write_fitted(text: str, graph: CheckedGraph, fitted: FittedCalibration, quantities: Sequence[str]) -> str:
     """The graph's text with what was estimated, each with a comment that says from what."""
     from bayesnet_track.evaluate.calibration import HEAVY_TAIL
     from bayesnet_track.graph.text.change import set_value
@@ -95,7 +95,7 @@ def write_fitted(text: str, graph: CheckedGraph, fitted: Fitted, quantities: Seq
     return text
 
 
-def _score_values(graph: CheckedGraph, fitted: Fitted) -> dict[str, Any]:
+def _score_values(graph: CheckedGraph, fitted: FittedCalibration) -> dict[str, Any]:
     """The keys of `logistic`: those that were fitted, and those that the graph has beside them."""
     from bayesnet_track.graph.settings.scores import confidence_feature
     from bayesnet_track.graph.text.write import as_plain

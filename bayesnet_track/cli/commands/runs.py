@@ -31,7 +31,7 @@ from bayesnet_track.cli.arguments import (
 )
 from bayesnet_track.cli.commands.graphs import SCENE_GRAPHS
 from bayesnet_track.cli.commands.tracking import executor_of, track_source
-from bayesnet_track.cli.following import Narrator, begin_again, follow, open_view
+from bayesnet_track.cli.following import Narrator, begin_again, follow_run, open_view
 from bayesnet_track.cli.options import (
     add_checkpoints,
     add_executor_options,
@@ -224,7 +224,7 @@ def resume(options: argparse.Namespace) -> int:
             inputs=view if view is not None and view.controls.can_switch else None,
             notice=lambda text: complain(f"{directory.path}: {text}"),
         )
-        return follow(options, results, summary, expected, directory.path, view)
+        return follow_run(options, results, summary, expected, directory.path, view)
 
 
 def _expected(directory: RunDirectory) -> int | None:
@@ -323,7 +323,7 @@ def simulate(options: argparse.Namespace) -> int:
     from bayesnet_track.engine.simulating import Simulation
     from bayesnet_track.engine.simulating import simulate as draw
     from bayesnet_track.engine.starts import check_given
-    from bayesnet_track.graph.checks.queries import read_inputs
+    from bayesnet_track.graph.checks.queries import input_columns
     from bayesnet_track.graph.text.load import load_graph
     from bayesnet_track.numerics.boxes import centre_from_corner
 
@@ -343,13 +343,13 @@ def simulate(options: argparse.Namespace) -> int:
     with users_mistake():
         check_given(graph, [start], frame.width, frame.height)
     plate = graph.targets[start.plate or next(iter(graph.targets))]
-    size, inputs = (frame.width, frame.height), read_inputs(graph.spec)
+    size, inputs = (frame.width, frame.height), input_columns(graph.spec)
     simulation = Simulation(options.frames, options.draws, options.seed, size, inputs)
     simulated = draw(plate, dict(graph.spec.constants), centre_from_corner(start.box), simulation)
     say(_summary(simulated, frame))
     if options.csv is not None:
         with writing(Path(options.csv)):
-            Path(options.csv).write_text(csv_text(simulated, frame.index), encoding="utf-8")
+            Path(options.csv).write_text(_csv_text(simulated, frame.index), encoding="utf-8")
         say(f"wrote {options.csv}")
     if options.png is not None:
         import cv2
@@ -363,7 +363,7 @@ def simulate(options: argparse.Namespace) -> int:
     return OK
 
 
-def csv_text(simulated: Simulated, first: int = 0) -> str:
+def _csv_text(simulated: Simulated, first: int = 0) -> str:
     """A row for each trajectory and frame: corner box in px, then the further fields."""
     from bayesnet_track.numerics.boxes import corner_from_centre
 

@@ -31,7 +31,7 @@ from bayesnet_track.cli.arguments import (
     users_mistake,
     whole_number,
 )
-from bayesnet_track.cli.following import STOPPED, Narrator, begin, follow, open_view, users_start
+from bayesnet_track.cli.following import STOPPED, Narrator, begin_view, follow_run, open_view, users_start
 from bayesnet_track.cli.options import (
     add_depth_options,
     add_outside_options,
@@ -60,7 +60,7 @@ Cell = str | int | float | None
 
 
 @dataclass(frozen=True)
-class Spread:
+class SeedSpread:
     """A measure over seeds.
 
     Attributes:
@@ -80,12 +80,12 @@ class Spread:
     most: float
 
 
-def spread_of(values: Sequence[float], confidence: float = 0.95) -> Spread:
+def seed_spread(values: Sequence[float], confidence: float = 0.95) -> SeedSpread:
     """Spread of values, one per seed; at least one.
 
     The interval is that of the mean over seeds, as if the values were normal, and for these videos only.
 
-    >>> one = spread_of([1.0, 2.0, 3.0])
+    >>> one = seed_spread([1.0, 2.0, 3.0])
     >>> one.mean, round(one.low, 3), round(one.high, 3)
     (2.0, -0.484, 4.484)
     """
@@ -97,10 +97,10 @@ def spread_of(values: Sequence[float], confidence: float = 0.95) -> Spread:
         variance = math.fsum((value - mean) ** 2 for value in values) / (count - 1)
         reach = float(stdtrit(count - 1, 0.5 + confidence / 2)) * math.sqrt(variance / count)
         low, high = mean - reach, mean + reach
-    return Spread(count, mean, low, high, min(values), max(values))
+    return SeedSpread(count, mean, low, high, min(values), max(values))
 
 
-def spread_over_seeds(rows: Iterable[Mapping[str, Cell]], names: Sequence[str]) -> dict[str, Spread]:
+def spread_over_seeds(rows: Iterable[Mapping[str, Cell]], names: Sequence[str]) -> dict[str, SeedSpread]:
     """The measures `names` of rows with a `seed`; rows of one seed, such as its videos, count by their mean.
 
     Only videos that every seed has count, so that seeds are compared over the same ones.
@@ -120,11 +120,11 @@ def spread_over_seeds(rows: Iterable[Mapping[str, Cell]], names: Sequence[str]) 
                 math.fsum(of_video[seed] for of_video in complete) / len(complete)
                 for seed in sorted(seeds, key=str)
             ]
-            spreads[name] = spread_of(means)
+            spreads[name] = seed_spread(means)
     return spreads
 
 
-def spread_text(spreads: Mapping[str, Spread]) -> str:
+def spread_text(spreads: Mapping[str, SeedSpread]) -> str:
     """A table of them, one line each."""
     lines = [f"{'':18}{'mean':>10}  {'95 % interval':22}{'smallest':>10}{'largest':>10}"]
     for name, spread in spreads.items():
@@ -177,13 +177,13 @@ def run_seeds(options: argparse.Namespace, once: Callable[[argparse.Namespace], 
 
 def row_of_run(graph: str, seed: int, folder: str, truth: str | None, form: TruthForm | None = None) -> Row:
     """The measures of a run; raises OSError, ValueError where a file cannot be read."""
-    from bayesnet_track.cli.batch.jobs import Job, Video
+    from bayesnet_track.cli.batch.jobs import BatchVideo, Job
     from bayesnet_track.cli.batch.work import row_of
     from bayesnet_track.evaluate.runs import score_several
     from bayesnet_track.evaluate.truth import is_mot
 
     has_targets = truth is not None and is_mot(truth, form)
-    video = Video(folder, "", truth=None if has_targets else truth)
+    video = BatchVideo(folder, "", truth=None if has_targets else truth)
     row = row_of(Job(graph, video, seed, folder, truth_format=form))
     if has_targets and truth is not None:
         scores = score_several(Path(folder), Path(truth), form)
@@ -191,7 +191,7 @@ def row_of_run(graph: str, seed: int, folder: str, truth: str | None, form: Trut
     return row
 
 
-def summary_of(rows: Sequence[Row]) -> dict[str, Spread]:
+def summary_of(rows: Sequence[Row]) -> dict[str, SeedSpread]:
     """The measures of runs over their seeds."""
 
     return spread_over_seeds(rows, MEASURES)
@@ -282,7 +282,7 @@ def track_source(
         with users_mistake():
             replay_inputs(Path(inputs))
     if view is not None:
-        selected = begin(options, view, graph, source, starts, folder)
+        selected = begin_view(options, view, graph, source, starts, folder)
         if selected is None:
             return options.stop.exit_code or STOPPED
         starts = selected
@@ -320,7 +320,7 @@ def track_source(
                 checkpoint_every=options.checkpoint_every,
                 max_side=getattr(options, "max_side", None),
             )
-        return follow(options, results, summary, source.expected_frames, folder, view)
+        return follow_run(options, results, summary, source.expected_frames, folder, view)
 
 
 def _opaque(graph: CheckedGraph) -> list[str]:

@@ -21,7 +21,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext, ask_together
 from bayesnet_track.engine.lifecycle.sensing import Found, gate_boxes, with_looks
-from bayesnet_track.engine.lifecycle.sharing import Tracks, update_tentative
+from bayesnet_track.engine.lifecycle.sharing import TrackArrays, update_tentative
 from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
@@ -48,7 +48,7 @@ LEAST_LOG = -50.0
 
 def assign_detections(
     rule: AssociationRule,
-    expected: Tracks,
+    expected: TrackArrays,
     detections: Found,
     log_looks: Callable[[Ints, Floats], Floats],
     by_labels: Mapping[int, Floats],
@@ -121,7 +121,11 @@ def tentative_tracks(compiled: CompiledPlate, history: TrackHistory) -> tuple[Ca
 
 
 def advance_tentative(
-    compiled: CompiledPlate, waiting: Sequence[Candidate], updated: Tracks, assigned: Floats, looked: bool
+    compiled: CompiledPlate,
+    waiting: Sequence[Candidate],
+    updated: TrackArrays,
+    assigned: Floats,
+    looked: bool,
 ) -> tuple[Candidate, ...]:
     """Tentative tracks, the last rows of `updated` and `assigned`, after they were given their detections."""
     if not waiting:

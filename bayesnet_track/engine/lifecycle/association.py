@@ -45,7 +45,7 @@ from bayesnet_track.engine.lifecycle.existing import (
 )
 from bayesnet_track.engine.lifecycle.refusing import record_refusals
 from bayesnet_track.engine.lifecycle.sensing import Found
-from bayesnet_track.engine.lifecycle.sharing import Tracks, follow, own_detections, predictor
+from bayesnet_track.engine.lifecycle.sharing import TrackArrays, follow_owners, own_detections, predictor
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.state import TargetState
@@ -59,7 +59,7 @@ from bayesnet_track.observation.likelihoods import ReferenceRows
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
+class RowAssociation:
     """T rows as they are expected, and what they are given of N detections.
 
     Attributes:
@@ -104,7 +104,7 @@ class Associated:
     targets: Targets
     history: TrackHistory
     events: tuple[DetectorFailed | DetectionsCut | CameraKnocked, ...]
-    given: Mapping[str, Given]
+    given: Mapping[str, RowAssociation]
 
 
 def associate_first(work: FrameContext, targets: Targets, history: TrackHistory) -> Associated:
@@ -121,7 +121,7 @@ def associate_first(work: FrameContext, targets: Targets, history: TrackHistory)
     detections, history, looked = look(work, history, partial(_expected_boxes, work, targets), live_targets)
     events: tuple[DetectorFailed | DetectionsCut | CameraKnocked, ...] = looked
     owners: dict[str, tuple[str | None, ...]] = {}
-    given_rows: dict[str, Given] = {}
+    given_rows: dict[str, RowAssociation] = {}
     for plate, compiled in work.engine.plates.items():
         if not compiled.association_rules:
             continue
@@ -160,7 +160,7 @@ def associate_new(
 
 
 @dataclass(frozen=True, eq=False)
-class Shared:
+class SharedDetections:
     """Detections that the targets of a plate are given.
 
     Attributes:
@@ -171,7 +171,7 @@ class Shared:
         events: cameras that were knocked.
     """
 
-    rows: Given | None
+    rows: RowAssociation | None
     others: Mapping[str, TargetState]
     owners: tuple[str | None, ...]
     history: TrackHistory
@@ -194,14 +194,14 @@ class Several:
     rows: Rows | None
     others: Mapping[str, TargetState]
 
-    def assign(self, history: TrackHistory, detections: Found | None) -> Shared:
+    def assign(self, history: TrackHistory, detections: Found | None) -> SharedDetections:
         """The best assignment of the detections to targets and tentative tracks."""
         compiled, names = self.compiled, self.names
         agent, rule = next(iter(compiled.association_rules.items()))
         sightings = Found.none() if detections is None else detections
         waiting = tentative_tracks(compiled, history)
         expecting, previous = predictor(self.work, compiled), self._tracks().and_tentative(waiting)
-        expected = Tracks(*expecting(previous.mean, previous.covariance), previous.observed)
+        expected = TrackArrays(*expecting(previous.mean, previous.covariance), previous.observed)
         by_labels = {}
         for row, mixture in self._in_modes(expecting.elapsed).items():
             expected.mean[row], expected.covariance[row] = mixture.moments
@@ -209,7 +209,7 @@ class Several:
                 by_labels[row] = mixture.log_gain(rule, sightings.labels)
         owner = assign_detections(rule, expected, sightings, self._log_looks, by_labels)
         assigned = own_detections(owner, sightings.boxes, sightings.scores)
-        updated, refiltered = follow(rule, previous, expected, owner, assigned, expecting)
+        updated, refiltered = follow_owners(rule, previous, expected, owner, assigned, expecting)
         if waiting:
             tentative = advance_tentative(compiled, waiting, updated, assigned, detections is not None)
             if rule.label is not None:
@@ -224,7 +224,7 @@ class Several:
         )
         if self.rows is not None:
             live = slice(count)
-            rows = Given(
+            rows = RowAssociation(
                 updated.mean[live],
                 updated.covariance[live],
                 assigned[live],
@@ -242,9 +242,9 @@ class Several:
                 labels = {agent: rule.label.told([sightings.labels[owner[row]]])}
             state = give_detections(state, dict.fromkeys(compiled.association_rules, detection), labels)
             states[target] = remember_detections(state, agent, updated.observed[row], refiltered.get(row))
-        return Shared(rows, states, name_owners(owner, names, len(sightings.boxes)), history)
+        return SharedDetections(rows, states, name_owners(owner, names, len(sightings.boxes)), history)
 
-    def associate_marginal(self, history: TrackHistory, looks: Mapping[str, Found]) -> Shared:
+    def associate_marginal(self, history: TrackHistory, looks: Mapping[str, Found]) -> SharedDetections:
         """Share what sensors saw by probability among targets that exist with one and unconfirmed tracks.
 
         `looks` has the sensors that looked. They are taken one after the other, each with what those before
@@ -296,7 +296,7 @@ class Several:
         }
         if watched.watches:
             history = evolve(history, watches={**history.watches, plate: watched.watches})
-        return Shared(rows, states, tuple(chain.from_iterable(owners)), history, watched.events)
+        return SharedDetections(rows, states, tuple(chain.from_iterable(owners)), history, watched.events)
 
     def _record_refusals(
         self,
@@ -321,11 +321,11 @@ class Several:
 
     def _given(
         self, mean: Floats, covariance: Floats, detections: Found | None, association: MarginalAssociation
-    ) -> Given:
+    ) -> RowAssociation:
         """The share of the rows in what their only sensor found; None where it did not look."""
         assert self.rows is not None
         live, sightings = slice(self.count), Found.none() if detections is None else detections
-        return Given(
+        return RowAssociation(
             mean[live],
             covariance[live],
             own_detections(association.owner[live], sightings.boxes, sightings.scores),
@@ -374,12 +374,12 @@ class Several:
         row_ids = () if self.rows is None else self.rows.ids
         return (*row_ids, *self.others) if self.others else row_ids
 
-    def _tracks(self) -> Tracks:
+    def _tracks(self) -> TrackArrays:
         """Their beliefs after the last frame, and what is remembered of their detections."""
         agent, rule = next(iter(self.compiled.association_rules.items()))
         rows, size = None if self.rows is None else self.rows.columns, len(self.compiled.moments.fields)
         if rows is not None and not self.others:
-            return Tracks(rows.mean, rows.covariance, rows.observed)
+            return TrackArrays(rows.mean, rows.covariance, rows.observed)
         states = self.others.values()
         beliefs = [state.belief for state in states]
         width = first_observed(rule, np.empty((0, 4)), size).shape[1]
@@ -388,7 +388,7 @@ class Several:
             remembered(rule, state.references.get(agent, {}), mean)
             for state, (mean, _) in zip(states, moments, strict=True)
         ]
-        added = Tracks(
+        added = TrackArrays(
             np.array([mean for mean, _ in moments]).reshape(-1, size),
             np.array([covariance for _, covariance in moments]).reshape(-1, size, size),
             np.array(observed).reshape(len(states), width),
@@ -396,7 +396,7 @@ class Several:
         if rows is None:
             return added
         pairs = (rows.mean, added.mean), (rows.covariance, added.covariance), (rows.observed, added.observed)
-        return Tracks(*(np.concatenate(pair) for pair in pairs))
+        return TrackArrays(*(np.concatenate(pair) for pair in pairs))
 
     def _in_modes(self, elapsed: float) -> dict[int, ExpectedInModes]:
         """Row -> the target as it is expected, a Gaussian for each mode, of targets that have modes."""

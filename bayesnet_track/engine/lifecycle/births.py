@@ -9,7 +9,14 @@ import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, alike, associate
 from bayesnet_track.adapt.existence import UnconfirmedTracks
-from bayesnet_track.adapt.lifecycle import ALONE_BOX, Candidate, FreeDetections, feed, is_confirmed, keep_best
+from bayesnet_track.adapt.lifecycle import (
+    ALONE_BOX,
+    Candidate,
+    FreeDetections,
+    feed,
+    is_confirmed,
+    keep_candidates,
+)
 from bayesnet_track.adapt.presence import Known
 from bayesnet_track.engine.lifecycle.confirming import (
     TESTED,
@@ -19,7 +26,7 @@ from bayesnet_track.engine.lifecycle.confirming import (
     start_confirmed,
     start_record,
 )
-from bayesnet_track.engine.lifecycle.ends import remember
+from bayesnet_track.engine.lifecycle.ends import memory_of
 from bayesnet_track.engine.lifecycle.initiating import has_way
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.sharing import start_tentative
@@ -132,7 +139,7 @@ def _wait(births: Births, detections: Found) -> tuple[Candidate, ...]:
     ]
     if labels is not None:
         candidates = [candidate.told(log) for candidate, log in zip(candidates, labels, strict=True)]
-    return keep_best([*previous, *candidates], births.birth)
+    return keep_candidates([*previous, *candidates], births.birth)
 
 
 def _find_lost(births: Births, detections: Found, claimed: Sequence[str]) -> Floats:
@@ -146,7 +153,7 @@ def _find_lost(births: Births, detections: Found, claimed: Sequence[str]) -> Flo
     if not lost:
         return places
     boxes = detections.boxes[:TESTED]
-    memories = [remember(tracks, target, births.plate) for target in lost]
+    memories = [memory_of(tracks, target, births.plate) for target in lost]
     for entry in match_known(births, memories, boxes, detections.boxes):
         target, box = entry.recognition.target, boxes[entry.detection]
         if not entry.is_sure:

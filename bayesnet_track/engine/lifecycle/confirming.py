@@ -18,7 +18,7 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.initiating import initiate, velocities
 from bayesnet_track.engine.lifecycle.recognise import Match, match
-from bayesnet_track.engine.lifecycle.reidentifying import compare
+from bayesnet_track.engine.lifecycle.reidentifying import compare_remembered
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.metrics import state_numbers
@@ -299,7 +299,7 @@ def match_known(
     if reidentify is None or not memories or not len(boxes):
         return ()
     occupied = np.concatenate([births.tracks.boxes(births.tracks.held(births.plate)), detections[:TESTED]])
-    compared = compare(births.work, births.plate, reidentify, boxes, occupied, memories)
+    compared = compare_remembered(births.work, births.plate, reidentify, boxes, occupied, memories)
     return match(compared, reidentify)
 
 

@@ -90,7 +90,7 @@ def _outside(tracks: LiveTable, plate: str, limit: float) -> dict[str, float]:
 def _end(tracks: LiveTable, plate: str, died: TargetDied) -> None:
     """A net ends, and is remembered where the graph says so."""
     if died.remembered:
-        remembered = remember(tracks, died.target, plate)
+        remembered = memory_of(tracks, died.target, plate)
         tracks.history = evolve(tracks.history, dead=(*tracks.history.dead, remembered))
     tracks.end(died)
 
@@ -117,7 +117,7 @@ def _forget(tracks: LiveTable, plate: str, rule: LifeRules, frame: Frame) -> Non
         tracks.history = evolve(tracks.history, births=kept_births)
 
 
-def remember(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:
+def memory_of(tracks: LiveTable, target: str, plate: str) -> AppearanceMemory:
     """Memory by which a live target would be recognised."""
     record, birth = tracks.record(target), tracks.history.births[target]
     memory = record.mean, record.covariance, record.time, tracks.references(target)

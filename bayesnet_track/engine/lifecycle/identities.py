@@ -19,9 +19,9 @@ from bayesnet_track.adapt.meetings import (
     MOST_DETECTIONS,
     MOST_MEMBERS,
     Meeting,
+    MeetingDetections,
     Placing,
     SensorRates,
-    Sighting,
     advance,
     close_pairs,
     gap_class,
@@ -91,7 +91,7 @@ def track_identities(
         if rule is None:
             continue
         identities = memory.get(plate, PlateIdentities())
-        identifying = Identifying(work, compiled, rule, previous, tracks_of(compiled, previous))
+        identifying = Identifying(work, compiled, rule, previous, _tracks_of(compiled, previous))
         memory[plate], placings, plate_events = identifying.after(identities, associated, outcome)
         events += plate_events
         composed = memory[plate].entangled
@@ -106,7 +106,7 @@ def track_identities(
     return evolve(outcome, state=state, metrics=metrics, events=events_after, seconds=work.seconds)
 
 
-def tracks_of(compiled: CompiledPlate, targets: Targets) -> LiveTracks:
+def _tracks_of(compiled: CompiledPlate, targets: Targets) -> LiveTracks:
     """The tracks of a plate with their beliefs."""
     name = compiled.plate.name
     width = len(compiled.moments.fields)
@@ -158,13 +158,13 @@ class Identifying:
         mean, covariance = expecting(self.before.mean, self.before.covariance)
         expected = evolve(self.before, mean=mean, covariance=covariance)
         batch, events = associated.found.get(plate, {}).get(""), list[Event]()
-        tracks = tracks_of(self.compiled, Targets.of(outcome.state.targets))
+        tracks = _tracks_of(self.compiled, Targets.of(outcome.state.targets))
         entangled = keep_live(memory.entangled, frozenset(tracks.ids), SURE)
         entangled = (*entangled, *_recognised(outcome.events, entangled, tracks.ids))
         if batch is None:
             waiting = tuple(_predicted(meeting, expecting) for meeting in memory.meetings)
             return evolve(memory, meetings=waiting, entangled=entangled), [], events
-        detections = Detections.of(self.compiled, batch.boxes, associated.owners.get(plate, ()))
+        detections = PlateDetections.of(self.compiled, batch.boxes, associated.owners.get(plate, ()))
         unseen = np.array([memory.unseen.get(target, 0) + 1 for target in self.before.ids], dtype=np.int64)
         meetings, refused = self._meet(memory, expected, detections, unseen)
         rates = self._rates(memory.rates, meetings, expected, detections, unseen)
@@ -193,7 +193,7 @@ class Identifying:
         return PlateIdentities(tuple(going_on), entangled, rates, without, refusals), placings, events
 
     def _meet(
-        self, memory: PlateIdentities, expected: LiveTracks, detections: Detections, unseen: Ints
+        self, memory: PlateIdentities, expected: LiveTracks, detections: PlateDetections, unseen: Ints
     ) -> tuple[list[Meeting], tuple[tuple[str, str], ...]]:
         """The meetings of the frame: those of before, with others that come close, and new ones."""
         frame, meetings = self.work.frame.index, list(memory.meetings)
@@ -233,7 +233,7 @@ class Identifying:
         rates: SensorRates,
         meetings: Sequence[Meeting],
         expected: LiveTracks,
-        detections: Detections,
+        detections: PlateDetections,
         unseen: Ints,
     ) -> SensorRates:
         """The rates with this frame's targets that are close to no other."""
@@ -251,7 +251,7 @@ class Identifying:
         return rates.learn(d2, unseen[detected_rows], (hits, len(fresh)), free)
 
     def _advanced(
-        self, meeting: Meeting, expected: LiveTracks, detections: Detections, rates: SensorRates
+        self, meeting: Meeting, expected: LiveTracks, detections: PlateDetections, rates: SensorRates
     ) -> Meeting:
         """A meeting, predicted to this frame, after the frame's detections."""
         rows, members = expected.index, {*meeting.members}
@@ -281,7 +281,7 @@ class Identifying:
         boxes = detections.boxes[columns]
         looks = self._looks(meeting, boxes)
         variances = detections.variances[columns] + spread_of_shared(meeting, boxes)
-        return advance(meeting, Sighting(boxes, variances, looks, np.array(log_else)), rates)
+        return advance(meeting, MeetingDetections(boxes, variances, looks, np.array(log_else)), rates)
 
     def _looks(self, meeting: Meeting, boxes: Floats) -> Floats:
         """(n, M) log-likelihoods of what members looked like before they met, at boxes (M, 4)."""
@@ -363,7 +363,7 @@ class Identifying:
 
 
 @dataclass(frozen=True, eq=False)
-class Detections:
+class PlateDetections:
     """The detections of a plate in a frame, and whose the tracker takes them for.
 
     Attributes:
@@ -379,7 +379,7 @@ class Detections:
     own: Mapping[str, int]
 
     @classmethod
-    def of(cls, compiled: CompiledPlate, boxes: Floats, owners: tuple[str | None, ...]) -> Detections:
+    def of(cls, compiled: CompiledPlate, boxes: Floats, owners: tuple[str | None, ...]) -> PlateDetections:
         """With the errors that the plate's first agent names."""
         agent, rule = next(iter(compiled.association_rules.items()))
         named = (*owners, *[None] * (len(boxes) - len(owners)))

@@ -39,10 +39,10 @@ def initiate(compiled: CompiledPlate, candidate: Candidate) -> Candidate:
     rule = next(iter(compiled.association_rules.values()))
     mean, covariance = compiled.moments.start_moments(candidate.track[0][1])
     limit = chi_square_quantile(ROUTE, 4)
-    if follow(compiled.moments, rule, candidate, (mean, covariance))[2] <= limit:
+    if _follow(compiled.moments, rule, candidate, (mean, covariance))[2] <= limit:
         return candidate
     fast = fast_covariance(compiled.moments, covariance, mean)
-    mean, covariance, d2 = follow(compiled.moments, rule, candidate, (mean, fast))
+    mean, covariance, d2 = _follow(compiled.moments, rule, candidate, (mean, fast))
     return candidate if d2 > limit else evolve(candidate, mean=mean, covariance=covariance)
 
 
@@ -72,7 +72,7 @@ def fast_covariance(motion: MotionModel, covariance: Floats, mean: Floats) -> Fl
     return fast
 
 
-def follow(
+def _follow(
     motion: MotionModel, rule: AssociationRule, candidate: Candidate, moments: tuple[Floats, Floats]
 ) -> tuple[Floats, Floats, float]:
     """Mean (D,) and covariance (D, D) after a candidate's detections, and the largest d^2 of one.

@@ -24,7 +24,7 @@ from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.inference.factors import seen_by
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.gaussian import chi_square_quantile, root, sigma_points, symmetric
-from bayesnet_track.numerics.lenses import derivatives, follow
+from bayesnet_track.numerics.lenses import derivatives, follow_line
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.observation.protocols import Seen
@@ -217,7 +217,7 @@ class FunctionSensor:
 
             way = self._seen.less(detections.values, anchor.values)
             less, place = self._seen.less, anchor.place
-            states[:, columns] = follow(measure_at, less, place, anchor.values, way, self.variances)
+            states[:, columns] = follow_line(measure_at, less, place, anchor.values, way, self.variances)
         means, spreads = start_moments_of_each(motion, states[:, :4])
         unplaced = [column for column in range(states.shape[1]) if column not in columns]
         states[:, unplaced] = means[:, unplaced]

@@ -22,7 +22,7 @@ LEAST_LOG = -700.0
 """Log-likelihoods are cut here, so that the ratio of two of them is a number."""
 
 
-def compare(
+def compare_remembered(
     work: FrameContext,
     plate: str,
     rule: Reidentify,

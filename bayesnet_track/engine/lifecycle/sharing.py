@@ -11,7 +11,15 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from bayesnet_track.adapt.association import GAP, LAST, UNASSIGNED, Layout, Owners, first_observed, observe
+from bayesnet_track.adapt.association import (
+    GAP,
+    LAST,
+    UNASSIGNED,
+    Owners,
+    PartColumns,
+    first_observed,
+    observe_hypotheses,
+)
 from bayesnet_track.adapt.lifecycle import Candidate, look_again
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
@@ -94,7 +102,7 @@ def _predict_each(
 
 
 @dataclass(frozen=True, eq=False)
-class Tracks:
+class TrackArrays:
     """Tracks as arrays.
 
     Attributes:
@@ -107,19 +115,19 @@ class Tracks:
     covariance: Floats
     observed: Floats
 
-    def and_tentative(self, candidates: Sequence[Candidate]) -> Tracks:
+    def and_tentative(self, candidates: Sequence[Candidate]) -> TrackArrays:
         """These, then tentative tracks."""
         if not candidates:
             return self
-        return Tracks(
+        return TrackArrays(
             np.concatenate([self.mean, np.array([candidate.mean for candidate in candidates])]),
             np.concatenate([self.covariance, np.array([candidate.covariance for candidate in candidates])]),
             np.concatenate([self.observed, np.array([candidate.observed for candidate in candidates])]),
         )
 
-    def only(self, rows: slice) -> Tracks:
+    def only(self, rows: slice) -> TrackArrays:
         """Some of them."""
-        return Tracks(self.mean[rows], self.covariance[rows], self.observed[rows])
+        return TrackArrays(self.mean[rows], self.covariance[rows], self.observed[rows])
 
 
 def own_detections(owner: Owners, boxes: Floats, scores: Floats) -> Floats:
@@ -129,14 +137,14 @@ def own_detections(owner: Owners, boxes: Floats, scores: Floats) -> Floats:
     return assigned
 
 
-def follow(
+def follow_owners(
     rule: AssociationRule,
-    previous: Tracks,
-    expected: Tracks,
+    previous: TrackArrays,
+    expected: TrackArrays,
     owner: Owners,
     assigned: Floats,
     predict: Predict,
-) -> tuple[Tracks, dict[int, tuple[Floats, Floats]]]:
+) -> tuple[TrackArrays, dict[int, tuple[Floats, Floats]]]:
     """Expectations after detections were given, and the beliefs of the frame before that changed, by row.
 
     A track that has a detection after a gap is filtered anew over the gap, where the rule says so; what is
@@ -153,8 +161,10 @@ def follow(
             predicted = predict(refiltered[row][0][None], refiltered[row][1][None])
             mean[row], covariance[row] = predicted[0][0], predicted[1][0]
     moments = previous.mean, previous.covariance
-    observed = observe(rule, previous.observed, moments, assigned[:, :4], is_given, predict.elapsed)
-    return Tracks(mean, covariance, observed), refiltered
+    observed = observe_hypotheses(
+        rule, previous.observed, moments, assigned[:, :4], is_given, predict.elapsed
+    )
+    return TrackArrays(mean, covariance, observed), refiltered
 
 
 def re_update(
@@ -169,7 +179,7 @@ def re_update(
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.row_kernels import correct_row
 
-    layout, gap, last_box = Layout.of(rule, size), float(observed[GAP]), observed[LAST]
+    layout, gap, last_box = PartColumns.of(rule, size), float(observed[GAP]), observed[LAST]
     steps = int(min(max(round(gap), 1), MOST_STEPS))
     mean, covariance = observed[layout.mean], observed[layout.covariance].reshape(size, size)
     for step in range(1, steps + 1):
@@ -192,7 +202,7 @@ def start_tentative(
 
 def update_tentative(
     candidates: Sequence[Candidate],
-    updated: Tracks,
+    updated: TrackArrays,
     assigned: Floats,
     variances: Floats,
     confirm: Confirm | None,

@@ -13,7 +13,7 @@ from bayesnet_track.adapt.memory import LOST
 from bayesnet_track.belief.motion.modes import has_modes, moments_of
 from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.lines import Lines
-from bayesnet_track.engine.modes import kinds_of
+from bayesnet_track.engine.modes import combination_probabilities
 from bayesnet_track.engine.outcome import Outcome
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.engine.rows.finding import rows_of
@@ -141,7 +141,7 @@ class LiveTable:
         belief = self.states[target].belief if target in self.states else None
         if belief is None or not has_modes(belief):
             return None
-        return kinds_of(belief, self.engine.plates[plate].modes)
+        return combination_probabilities(belief, self.engine.plates[plate].modes)
 
     def references(self, target: str) -> Mapping[str, Reference]:
         """References that the agents remember of a target."""

@@ -22,9 +22,9 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages
-from bayesnet_track.engine.lifecycle.association import Given
+from bayesnet_track.engine.lifecycle.association import RowAssociation
 from bayesnet_track.engine.lifecycle.sharing import image_of
-from bayesnet_track.engine.metrics import CLOUD_SIZE, Summary
+from bayesnet_track.engine.metrics import CLOUD_SIZE, BeliefSummary
 from bayesnet_track.engine.rows.columns import GIVEN, GIVEN_NONE, NEVER_ASKED, Columns, Rows
 from bayesnet_track.engine.rows.fitting import net_fits
 from bayesnet_track.engine.state import TargetState
@@ -214,7 +214,7 @@ class FilteredGaussians:
 
     # -------------------------------------------------------------------------------- lines
 
-    def summaries(self, work: FrameContext, hypotheses: bool) -> dict[str, Summary]:
+    def summaries(self, work: FrameContext, hypotheses: bool) -> dict[str, BeliefSummary]:
         """Target -> its belief in a few numbers; without `hypotheses` none are drawn."""
         beliefs, rule, centre = self.columns, self.before.rule, self.columns.mean[:, :2]
         variances = np.diagonal(beliefs.covariance, axis1=1, axis2=2)
@@ -228,7 +228,7 @@ class FilteredGaussians:
         columns = zip(variances, ess, nats, zip(*regions, strict=True), clouds, strict=True)
         numbers = zip(log_evidence, size, self._p_values(), strict=True)
         return {
-            target: Summary(
+            target: BeliefSummary(
                 spread,
                 row_ess,
                 surprise,
@@ -316,7 +316,7 @@ class FilteredGaussians:
         return columns
 
 
-def filter_gaussians(work: FrameContext, rows: Rows, detections: Given) -> FilteredGaussians:
+def filter_gaussians(work: FrameContext, rows: Rows, detections: RowAssociation) -> FilteredGaussians:
     """The rows of a table, updated by what each is given: the arrays of `detections` are changed in place."""
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.kernels.pair_kernels import measure_and_mix_rows

@@ -29,17 +29,17 @@ from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import (
     StepArrays,
-    columns_of,
     is_flat,
     measure,
     measure_rows,
+    state_columns,
     uncertainties,
 )
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.numerics.log_weights import LogWeights, effective, select
+from bayesnet_track.numerics.log_weights import LogWeights, column_index, effective
 from bayesnet_track.observation.cue import Hypotheses, Reference
 
 
@@ -185,8 +185,8 @@ class FilteredRows(Mapping[str, Filtered]):
     @property
     def arrays(self) -> StepArrays:
         """Inputs of measures."""
-        log, columns = self.clouds.log, columns_of(self.before.compiled.plate, self.plan.root)
-        picks, prior = select(columns), np.tile(self.prior.log, (len(log), 1))
+        log, columns = self.clouds.log, state_columns(self.before.compiled.plate, self.plan.root)
+        picks, prior = column_index(columns), np.tile(self.prior.log, (len(log), 1))
         uds = uncertainties(self.clouds.states[:, :, picks], self.clouds.weights, self.best[:, picks])
         agents = [observation.agent for observation in self.plan.observations]
         return StepArrays(agents, (), self.messages, prior, log, self.boxes, uds)
@@ -362,7 +362,7 @@ def weigh(prior_log: Floats, message: Floats) -> tuple[Floats, Floats]:
     return log, total
 
 
-class Together(Mapping[str, Filtered]):
+class FilteredTargets(Mapping[str, Filtered]):
     """The first half of the frame of all targets: those in groups, and those that went by themselves.
 
     Args:

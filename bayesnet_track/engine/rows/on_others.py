@@ -14,7 +14,7 @@ from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext, ask_together
-from bayesnet_track.engine.rows.filtered_rows import FilteredRows, Together
+from bayesnet_track.engine.rows.filtered_rows import FilteredRows, FilteredTargets
 from bayesnet_track.inference.messages import Observer, evaluate, join_plain
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -28,7 +28,7 @@ LEAST = -1e3
 
 
 def logs_on(
-    work: FrameContext, neighbours: Mapping[str, Sequence[str]], filtered: Together
+    work: FrameContext, neighbours: Mapping[str, Sequence[str]], filtered: FilteredTargets
 ) -> dict[str, dict[str, float]]:
     """Target -> other -> mean log-likelihood, by its own agents, of boxes of it wholly on the other's.
 

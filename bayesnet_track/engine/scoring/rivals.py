@@ -202,7 +202,7 @@ def first_references(
 
 
 @dataclass(frozen=True, eq=False)
-class Verified:
+class VerifierAnswers:
     """Answers of the verifiers of one target in a frame.
 
     Attributes:
@@ -232,7 +232,7 @@ class Verification:
     target: str
     box: Floats
 
-    def verify(self, references: Mapping[str, Reference], everyone: bool = False) -> Verified:
+    def verify(self, references: Mapping[str, Reference], everyone: bool = False) -> VerifierAnswers:
         """Ask those whose turn it is, or `everyone`.
 
         Those that are asked in every third frame, say, are asked in different ones. One that has no reference
@@ -255,9 +255,9 @@ class Verification:
                 updated[name], faults[name] = {}, str(value)
             else:
                 updated[name], values[name] = reference, value
-        return Verified(values, updated, self._failed(faults))
+        return VerifierAnswers(values, updated, self._failed(faults))
 
-    def follow(self, verified: Verified) -> Verified:
+    def follow(self, verified: VerifierAnswers) -> VerifierAnswers:
         """The same after those that were asked have learnt from the estimate."""
         references, faults = dict(verified.references), dict[str, str]()
         for name in verified.values:
@@ -265,7 +265,7 @@ class Verification:
             references[name] = {} if isinstance(answer, str) else answer
             if isinstance(answer, str):
                 faults[name] = answer
-        return Verified(verified.values, references, (*verified.failed, *self._failed(faults)))
+        return VerifierAnswers(verified.values, references, (*verified.failed, *self._failed(faults)))
 
     def _failed(self, faults: Mapping[str, str]) -> tuple[VerifierFailed, ...]:
         frame = self.cache.frames.current.index

@@ -16,7 +16,7 @@ from bayesnet_track.graph.expressions.terms import WORDS
 from bayesnet_track.graph.settings.base import PluginChoice
 from bayesnet_track.graph.settings.net import Category
 from bayesnet_track.graph.spec import AgentChoice, AgentNode, GraphSpec, InferenceNode
-from bayesnet_track.graph.text.explain import explain
+from bayesnet_track.graph.text.explain import explain_errors
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, NoParameters
 from bayesnet_track.observation.plugins import why_absent
@@ -48,7 +48,7 @@ def parameters_fit_the_cue(plate: Plate) -> Iterator[GraphMessage]:
         except ValidationError as error:
             path = ("targets", plate.name, "nodes", name, *subpath, choice.cue)
             model = declaration.parameters
-            for message in explain(error, model, choice.parameters, plate.at, path):
+            for message in explain_errors(error, model, choice.parameters, plate.at, path):
                 field = model.model_fields.get(str(message.path[-1]))
                 meaning = field.description if field is not None else None
                 yield (

@@ -19,8 +19,8 @@ from bayesnet_track.graph.checks.plates import (
     fields_of_motion,
     further_fields,
     is_seen,
+    mode_numbers,
     moving_fields,
-    numbers_of,
 )
 from bayesnet_track.graph.expressions.parse import parse, parse_value
 from bayesnet_track.graph.expressions.terms import (
@@ -171,7 +171,7 @@ def _modes(plate: Plate) -> dict[str, float]:
     """The names of modes that are free, with their numbers."""
     root = plate.inference[plate.roots[0]]
     reserved = {*WORDS, *plate.constants, *further_fields(root)}
-    return {name: number for name, number in numbers_of(root).items() if name not in reserved}
+    return {name: number for name, number in mode_numbers(root).items() if name not in reserved}
 
 
 def read_factors(plate: Plate) -> dict[str, Factor]:

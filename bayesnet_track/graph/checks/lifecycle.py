@@ -13,7 +13,7 @@ from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.expressions.terms import ExpressionError, names_in
 from bayesnet_track.graph.settings.lifecycle import Confirm, join_of
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
-from bayesnet_track.graph.text.explain import explain
+from bayesnet_track.graph.text.explain import explain_errors
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions
 from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, detectors_of_graphs
 from bayesnet_track.observation.plugins import why_absent
@@ -71,7 +71,7 @@ def parameters_fit_the_detector(plate: Plate) -> Iterator[GraphMessage]:
         plugin_parameters(birth.detector, declaration.parameters)
     except ValidationError as error:
         path = ("targets", plate.name, *DETECTOR, declaration.name)
-        yield from explain(error, declaration.parameters, birth.detector.parameters, plate.at, path)
+        yield from explain_errors(error, declaration.parameters, birth.detector.parameters, plate.at, path)
 
 
 def recall_has_a_detector(plate: Plate) -> Iterator[GraphMessage]:

@@ -23,7 +23,7 @@ from bayesnet_track.graph.expressions.parse import parse, parse_value
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES, WORDS, ExpressionError, Term, names_in
 from bayesnet_track.graph.settings.motion import BoxVelocity, ByExpressions, Motion, Moving
 from bayesnet_track.graph.spec import GraphSpec, InferenceNode
-from bayesnet_track.graph.text.explain import explain
+from bayesnet_track.graph.text.explain import explain_errors
 from bayesnet_track.graph.text.messages import GraphMessage, KeyPath, Positions, nearest
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.detector import ENTRY_POINT_GROUP, installed_detectors
@@ -204,7 +204,7 @@ def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
             plugin_parameters(choice, model)
         except ValidationError as error:
             full_path = ("targets", plate.name, "nodes", name, *path)
-            yield from explain(error, model, choice.parameters, plate.at, full_path)
+            yield from explain_errors(error, model, choice.parameters, plate.at, full_path)
 
 
 MOTION_CHECKS: tuple[Check, ...] = (
@@ -280,13 +280,13 @@ def constants_have_particles(plate: Plate) -> Iterator[GraphMessage]:
         if belief is not None and belief.particles is None:
             fault = f"static_discount beside {belief.kind}, which keeps a constant's uncertainty by itself"
             yield plate.message(node, fault, "no static_discount, or particles", key=key, on_key=True)
-        elif not static_fields(motion, plate.inference[node].start):
+        elif not _static_fields(motion, plate.inference[node].start):
             fault = "static_discount, and every field that is uncertain drifts or has noise"
             remedy = "a field with an sd at the start, no drift and no sd; or no static_discount"
             yield plate.message(node, fault, remedy, key=key, on_key=True)
 
 
-def static_fields(motion: ByExpressions, starts: Collection[str] = ()) -> list[str]:
+def _static_fields(motion: ByExpressions, starts: Collection[str] = ()) -> list[str]:
     """Unknown constants: fields that are uncertain at the start, and neither drift nor have noise.
 
     `starts` are fields with a start prior beside the motion's.

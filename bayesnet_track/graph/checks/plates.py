@@ -203,7 +203,7 @@ def discrete_fields(root: InferenceNode) -> tuple[str, ...]:
     return (*(("mode",) if root.modes else ()), *(root.category or ()))
 
 
-def numbers_of(root: InferenceNode) -> dict[str, float]:
+def mode_numbers(root: InferenceNode) -> dict[str, float]:
     """Names of modes and of values of categories, with the numbers that expressions compare."""
     numbers = {name: float(number) for number, name in enumerate(root.modes or {})}
     for category in (root.category or {}).values():
@@ -226,7 +226,7 @@ def numbers_of_kinds(spec: GraphSpec, kinds: Iterable[str]) -> dict[str, float]:
     reserved = {*WORDS, *spec.constants, *spec.inputs}
     for kind in dict.fromkeys(kinds):
         root = root_of(spec.targets[kind])
-        root_numbers = {} if root is None else numbers_of(root)
+        root_numbers = {} if root is None else mode_numbers(root)
         reserved |= {
             name for name in root_numbers.keys() & numbers.keys() if root_numbers[name] != numbers[name]
         }

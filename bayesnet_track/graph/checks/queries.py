@@ -258,7 +258,7 @@ def inputs_can_be_read(spec: GraphSpec, positions: Positions) -> Iterator[GraphM
             yield positions.message(("inputs", name, key), fault, remedy)
 
 
-def read_inputs(spec: GraphSpec) -> Mapping[str, TimedInput]:
+def input_columns(spec: GraphSpec) -> Mapping[str, TimedInput]:
     """Input -> its column, of a graph that passed the checks.
 
     Raises:

@@ -63,7 +63,7 @@ from bayesnet_track.graph.checks.several_cameras import per_camera
 from bayesnet_track.graph.settings.net import AGENT_RULES
 from bayesnet_track.graph.spec import Given, GraphSpec, Level, Lost, Noise
 from bayesnet_track.graph.text.document import MAX_BYTES
-from bayesnet_track.graph.text.explain import explain
+from bayesnet_track.graph.text.explain import explain_errors
 from bayesnet_track.graph.text.messages import MAX_MESSAGES, GraphError, GraphMessage, Positions
 from bayesnet_track.graph.text.write import write_graph
 from bayesnet_track.observation.cue import ENTRY_POINT_GROUP, CueDeclaration, installed_cues
@@ -321,7 +321,7 @@ def check_graph(
         try:
             graph = GraphSpec.model_validate(graph)
         except ValidationError as error:
-            raise GraphError(explain(error, GraphSpec, graph, positions)) from None
+            raise GraphError(explain_errors(error, GraphSpec, graph, positions)) from None
     return check(graph, positions, cues, masks, calibrations)
 
 

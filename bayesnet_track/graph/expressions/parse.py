@@ -275,11 +275,11 @@ class _Parser:
 def _check_constant(call: Call) -> None:
     """Refuse a term that has no finite value whatever it reads."""
     if call.function == "/" and _constant(call.arguments[1]) == 0.0:
-        raise ExpressionError(f"{text_of(call)}, a division by 0", "a divisor other than 0", call.at)
+        raise ExpressionError(f"{term_text(call)}, a division by 0", "a divisor other than 0", call.at)
     value = _constant(call)
     if value is not None and not math.isfinite(value):
         noun = "which has no value" if math.isnan(value) else "which is infinite"
-        raise ExpressionError(f"{text_of(call)}, {noun}", "constants with a finite value", call.at)
+        raise ExpressionError(f"{term_text(call)}, {noun}", "constants with a finite value", call.at)
 
 
 def _constant(term: Term) -> float | None:
@@ -323,18 +323,18 @@ _LATEX_DENSITIES = {
 _LATEX_FUNCTIONS = {name: rf"\{name}" for name in ("min", "max", "exp", "log", "sin", "cos", "tan", "tanh")}
 
 
-def text_of(term: Term) -> str:
+def term_text(term: Term) -> str:
     """The text of a term; reading it gives an equal one.
 
     >>> from bayesnet_track.graph.expressions.parse import parse
-    >>> text_of(parse("((x)*(2)) - (y - 1)**2"))
+    >>> term_text(parse("((x)*(2)) - (y - 1)**2"))
     'x * 2 - (y - 1) ** 2'
     """
     if isinstance(term, Number):
         return _number(term.value)
     if not isinstance(term, Call):
         return term.name
-    parts = [_bracketed(text_of(argument), need) for argument, need in _needs(term)]
+    parts = [_bracketed(term_text(argument), need) for argument, need in _needs(term)]
     match term.function:
         case "neg":
             return f"-{parts[0]}"
@@ -342,7 +342,7 @@ def text_of(term: Term) -> str:
             return f"not {parts[0]}"
         case sign if sign in BINARY:
             return f" {sign} ".join(parts)
-    return f"{term.function}({', '.join(map(text_of, term.arguments))})"
+    return f"{term.function}({', '.join(map(term_text, term.arguments))})"
 
 
 def latex_of(term: Term) -> str:

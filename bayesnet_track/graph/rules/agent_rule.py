@@ -43,7 +43,7 @@ class AgentPlace:
 
 
 @dataclass(frozen=True)
-class Flaw:
+class RuleFlaw:
     """A setting of a rule that cannot be meant.
 
     Attributes:
@@ -100,6 +100,6 @@ class AgentRule(Model):
         """(T,) the quantity that is compared with the level; NaN where nothing can be said."""
         raise NotImplementedError
 
-    def flaws(self, place: AgentPlace) -> Iterator[Flaw]:
+    def flaws(self, place: AgentPlace) -> Iterator[RuleFlaw]:
         """Settings that cannot be meant where the agent stands."""
         return iter(())

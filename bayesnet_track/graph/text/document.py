@@ -36,8 +36,8 @@ from bayesnet_track.graph.text.messages import (
     GraphMessage,
     KeyPath,
     Positions,
-    shown,
     shown_name,
+    shown_value,
 )
 
 _NULL = frozenset({"", "~", "null", "Null", "NULL"})
@@ -79,14 +79,14 @@ _REFUSED_CHARACTER = re.compile(
 
 
 @dataclass(frozen=True)
-class Document:
+class PositionedData:
     """The plain data of a file and where each part of it stands."""
 
     value: Any
     at: Positions
 
 
-def read_document(text: str | bytes, file: str) -> Document:
+def read_document(text: str | bytes, file: str) -> PositionedData:
     """The single document of a YAML text.
 
     Raises:
@@ -172,7 +172,7 @@ class _Building:
     errors: list[GraphMessage] = field(default_factory=list)
     nodes: int = 0
 
-    def document(self, text: str) -> Document:
+    def document(self, text: str) -> PositionedData:
         try:
             value = self._single(_Events(text))
         except _TooMuch as limit:
@@ -191,7 +191,7 @@ class _Building:
             ) from None
         if self.errors:
             raise GraphError(self.errors)
-        return Document(value, Positions(self.file, self.keys, self.values, self.texts))
+        return PositionedData(value, Positions(self.file, self.keys, self.values, self.texts))
 
     def _single(self, events: Any) -> Any:
         value = None
@@ -255,7 +255,7 @@ class _Building:
             elif key in mapping:
                 first, _ = self.keys[key_path]
                 self._refuse(
-                    event, key_path, f"key {shown(key)} again, first in line {first}", "every key once"
+                    event, key_path, f"key {shown_value(key)} again, first in line {first}", "every key once"
                 )
             else:
                 self.keys[key_path] = _place(event)

@@ -22,8 +22,8 @@ from bayesnet_track.graph.text.messages import (
     Positions,
     listed,
     nearest,
-    shown,
     shown_name,
+    shown_value,
 )
 
 NODES: Mapping[Any, str] = {InferenceNode: "an inference", AgentNode: "an agent", FactorNode: "a factor"}
@@ -32,7 +32,7 @@ MARKED: Mapping[str, type[Model]] = {"agent": AgentNode, "factor": FactorNode}
 MAX_EXPLAINED = 4 * MAX_MESSAGES
 
 
-def explain(
+def explain_errors(
     error: ValidationError, model: type[BaseModel], data: Any, positions: Positions, prefix: KeyPath = ()
 ) -> list[GraphMessage]:
     """The messages for what pydantic found wrong in `data`, a value of `model` at the path `prefix`."""
@@ -136,11 +136,11 @@ def _explain(
     name = _name_of(path)
     if innermost.is_key:
         bad = path[-1] if path else ""
-        return positions.message(path, f"name {shown(bad)}", expects(Name), on_key=True)
+        return positions.message(path, f"name {shown_value(bad)}", expects(Name), on_key=True)
     if kind == "extra_forbidden":
         return _unknown_key(str(innermost.key), owner, parent, path, positions)
     if kind == "missing" and path and isinstance(path[-1], int):  # a list with too few members
-        fault = f"{_name_of(path[:-1])} is {shown(parent.value)}"
+        fault = f"{_name_of(path[:-1])} is {shown_value(parent.value)}"
         return positions.message(path[:-1], fault, _valid_values(steps[:-1]))
     if kind == "missing":
         message = positions.message(path[:-1], f"key {name!r} is missing", _valid_values(steps))
@@ -158,14 +158,16 @@ def _explain(
         fault = (
             f"two parents ({listed(innermost.value)})"
             if len(innermost.value) == 2
-            else f"parent is {shown(innermost.value)}"
+            else f"parent is {shown_value(innermost.value)}"
         )
         return positions.message(path, fault, "one parent, so that evidence reaches a node by one path only")
     if isinstance(innermost.shape.only if innermost.shape else None, type) and kind == "value_error":
         return _bad_choice(innermost, name, reason, path, positions)
     remedy = "at least one" if kind == "too_short" else _valid_values(steps)
     fault = (
-        f"{name} is {shown(innermost.value)}" if innermost.value not in ({}, [], ()) else f"{name} is empty"
+        f"{name} is {shown_value(innermost.value)}"
+        if innermost.value not in ({}, [], ())
+        else f"{name} is empty"
     )
     word = innermost.value if isinstance(innermost.value, str) else ""
     return positions.message(
@@ -199,12 +201,12 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: KeyPath, positions:
     owner = _meant(parent.value) if owner is InferenceNode else owner
     fields = list(owner.model_fields) if isinstance(owner, type) and issubclass(owner, BaseModel) else []
     candidates = [*fields, *MARKED] if owner is InferenceNode else fields
-    fault = f"unknown key {shown(word)}"
+    fault = f"unknown key {shown_value(word)}"
     if isinstance(owner, type) and issubclass(owner, Choice):
         choice = str(path[-2]) if len(path) > 1 else "choice"
         if isinstance(parent.value, str):
             path = path[:-1]
-        fault = f"unknown {shown_name(choice)} {shown(word)}"
+        fault = f"unknown {shown_name(choice)} {shown_value(word)}"
     elif owner in NODES:
         fault += f" of {NODES[owner]} node"
     message = positions.message(
@@ -253,7 +255,7 @@ def _bad_choice(
 ) -> GraphMessage:
     kind: Any = innermost.shape.only if innermost.shape is not None else None
     if not issubclass(kind, (Choice, PluginChoice)) or not isinstance(innermost.value, Mapping):
-        return positions.message(path, f"{name} is {shown(innermost.value)}", _reason(reason))
+        return positions.message(path, f"{name} is {shown_value(innermost.value)}", _reason(reason))
     names = listed(innermost.value)
     fault = f"{name} names {names}" if len(innermost.value) else f"{name} is empty"
     if issubclass(kind, PluginChoice):

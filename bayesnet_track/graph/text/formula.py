@@ -13,7 +13,7 @@ from fractions import Fraction
 
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checked import Factor as Expression
-from bayesnet_track.graph.expressions.parse import latex_of, parse, text_of
+from bayesnet_track.graph.expressions.parse import latex_of, parse, term_text
 from bayesnet_track.graph.expressions.terms import Variable
 from bayesnet_track.graph.settings.lifecycle import Join
 from bayesnet_track.graph.settings.motion import Mode
@@ -69,7 +69,7 @@ class Integral:
 Factor = Likelihood | Weight | Product | Integral
 
 
-def factor_of(target: CheckedTarget, active: Iterable[str] | None = None) -> Factor | None:
+def factor_text(target: CheckedTarget, active: Iterable[str] | None = None) -> Factor | None:
     """Factor of the root's children, of the agents `active` (all when None); None when none is active."""
     working = set(target.agents if active is None else active)
     return _factor(target, target.root, target.root, working)
@@ -77,7 +77,7 @@ def factor_of(target: CheckedTarget, active: Iterable[str] | None = None) -> Fac
 
 def formula_text(target: CheckedTarget, active: Iterable[str] | None = None) -> str:
     """The factorisation as text, one equation a line; agents outside `active` are named as left out."""
-    factor = factor_of(target, active)
+    factor = factor_text(target, active)
     root = text_state(target.root)
     moving = [(latent, parent) for latent, parent, _ in latent_nodes(target) if moves(target, latent)]
     joint = ", ".join([root, *(text_state(latent) for latent, _ in moving)])
@@ -110,13 +110,13 @@ def _measured_lines(target: CheckedTarget) -> Iterator[str]:
     """Measurements of agents: ``radar: range = hypot(x, y) + noise``, with the constants used."""
     for agent, functions in target.measures.items():
         for quantity, term in functions.terms.items():
-            yield f"{agent}: {quantity} = {text_of(term)} + noise"
+            yield f"{agent}: {quantity} = {term_text(term)} + noise"
         yield from (f"{name} = {value:g}" for name, value in functions.constants.items())
 
 
 def formula_latex(target: CheckedTarget, active: Iterable[str] | None = None) -> str:
     """The factorisation as LaTeX (amsmath's `align*`); agents outside `active` are named in a comment."""
-    factor = factor_of(target, active)
+    factor = factor_text(target, active)
     states = [target.root, *(latent for latent, _, _ in latent_nodes(target) if moves(target, latent))]
     root, previous = (", ".join(_latex_state(state, time) for state in states) for time in ("t", "t-1"))
     predicted = rf"p({root} \mid e_{{1:t-1}})"
@@ -321,7 +321,7 @@ def _weights(target: CheckedTarget) -> list[tuple[str, str, Expression]]:
 
 def _expression(factor: Expression) -> str:
     constants = "".join(f", {name} = {value:g}" for name, value in factor.constants.items())
-    return text_of(factor.term) + constants + ("" if factor.mask is None else f", mask: {factor.mask}")
+    return term_text(factor.term) + constants + ("" if factor.mask is None else f", mask: {factor.mask}")
 
 
 def _latex_weight(name: str, state: str) -> str:
@@ -381,7 +381,7 @@ def join_text(join: Join) -> str:
     lines = [condition if join.when.overlap else f"of every {first} and {second}:"]
     if join.factor is not None:
         lines.append(f"p({together} | e_1:t) ∝ p({first}_t | e_1:t) · p({second}_t | e_1:t) · f({together})")
-        lines.append(f"f(a, b) = {text_of(parse(join.factor))}")
+        lines.append(f"f(a, b) = {term_text(parse(join.factor))}")
     if join.shares_pixels:
         against = f" · e^(-{join.nats:g} c({together}))" if join.nats else ""
         lines.append(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional
 from bayesnet_track.graph.checks.motion import drift_of, sds_of
-from bayesnet_track.graph.expressions.parse import latex_of, text_of
+from bayesnet_track.graph.expressions.parse import latex_of, term_text
 from bayesnet_track.graph.expressions.terms import DRAWN, Call, Number, Term, Variable, names_in
 from bayesnet_track.graph.settings.motion import Mode, Motion
 from bayesnet_track.graph.spec import Given, Noise
@@ -70,7 +70,7 @@ def given_lines(conditional: Conditional, state: str) -> Iterator[str]:
     for name, term in conditional.fields.items():
         distribution = _distribution(term)
         sign, right_side = ("=", term) if distribution is None else ("~", distribution)
-        yield f"{name} of {state} {sign} {text_of(right_side)}"
+        yield f"{name} of {state} {sign} {term_text(right_side)}"
     yield from (f"{name} = {value:g}" for name, value in conditional.constants.items())
 
 
@@ -102,7 +102,7 @@ def motion_lines(target: CheckedTarget) -> list[str]:
 
 def _equation_text(name: str, mean: Term, sd: Term | None) -> str:
     noise = "" if sd is None else f" + noise of sd {_bracketed(sd)} · √dt"
-    return f"{name}_t = {text_of(mean)}{noise}"
+    return f"{name}_t = {term_text(mean)}{noise}"
 
 
 def latex_motion_lines(target: CheckedTarget) -> list[str]:
@@ -138,7 +138,7 @@ def _constants(target: CheckedTarget) -> list[tuple[str, float]]:
 
 
 def _bracketed(sd: Term) -> str:
-    return text_of(sd) if isinstance(sd, Number | Variable) else f"({text_of(sd)})"
+    return term_text(sd) if isinstance(sd, Number | Variable) else f"({term_text(sd)})"
 
 
 def mode_lines(target: CheckedTarget, describe: Callable[[Motion], str]) -> list[str]:

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.run import Cues, check, check_graph, mapped_cues
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.graph.text.document import MAX_BYTES, Document, read_document
-from bayesnet_track.graph.text.explain import explain
+from bayesnet_track.graph.text.document import MAX_BYTES, PositionedData, read_document
+from bayesnet_track.graph.text.explain import explain_errors
 from bayesnet_track.graph.text.messages import (
     GraphError,
     GraphMessage,
@@ -140,14 +140,14 @@ def read_graph(
     return specify(document), document.at
 
 
-def specify(document: Document) -> GraphSpec:
+def specify(document: PositionedData) -> GraphSpec:
     """The specification in a document; raises GraphError with everything that is wrong with its form."""
     errors = list(_only_in_python(document))
     try:
         spec = GraphSpec.model_validate(document.value)
     except ValidationError as error:
         empty = {message.path for message in errors}
-        explained = explain(error, GraphSpec, document.value, document.at)
+        explained = explain_errors(error, GraphSpec, document.value, document.at)
         errors += [message for message in explained if message.path not in empty]
     if errors:
         raise GraphError(errors)
@@ -178,7 +178,7 @@ def _beside(path: Path | Traversable) -> str:
     return str(path.parent / suggestion) if suggestion else ""
 
 
-def _only_in_python(document: Document) -> Iterator[GraphMessage]:
+def _only_in_python(document: PositionedData) -> Iterator[GraphMessage]:
     """Values that Python may give and a file may not: None, `cue:`, `detector:`."""
     waiting: list[tuple[KeyPath, Any]] = [((), document.value)]
     while waiting:

@@ -193,10 +193,10 @@ def shown_name(name: object) -> str:
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
 
 
-def shown(value: Any) -> str:
+def shown_value(value: Any) -> str:
     """A value as it appears in a message: in one short line, as YAML writes it.
 
-    >>> shown("two"), shown(True), shown({"a": 1}), shown(None)
+    >>> shown_value("two"), shown_value(True), shown_value({"a": 1}), shown_value(None)
     ("'two'", 'true', '{"a": 1}', 'nothing')
     """
     if value is None:

@@ -73,7 +73,7 @@ def compare_text(
         lines += ["", f"after that they diverge {plural(len(later_moments), 'more time')}"]
         for moment in later_moments[:shown]:
             lines += [
-                f"  {place(moment, comparison)}",
+                f"  {moment_text(moment, comparison)}",
                 *(f"    {line_text}" for line_text in sides(first, second, moment)),
             ]
         if len(later_moments) > shown:
@@ -123,13 +123,13 @@ def parting_lines(first: RunRecord, second: RunRecord, comparison: Comparison) -
         return [f"their decisions never diverge: {agreed}; {numbers}"]
     moment = comparison.moments[0]
     return [
-        f"they first diverge at {place(moment, comparison)}",
+        f"they first diverge at {moment_text(moment, comparison)}",
         *(f"  {side}" for side in sides(first, second, moment)),
         f"  {agreed}; {numbers}",
     ]
 
 
-def place(moment: Moment, comparison: Comparison) -> str:
+def moment_text(moment: Moment, comparison: Comparison) -> str:
     """``frame 25, motion``, with the target where there are several."""
     has_several = len(comparison.pairs) + sum(map(len, comparison.alone)) > 1
     whose = f", {whose_text(moment.pair)}" if has_several else ""

@@ -115,7 +115,7 @@ def scale_steps(
 
 
 @compiled
-def shares_inside(boxes: Floats, width: float, height: float) -> Floats:
+def box_shares_inside(boxes: Floats, width: float, height: float) -> Floats:
     """(N,) share of each centre box (N, 4) on an image of that size, whose pixels reach from -0.5 on."""
     shares = np.ones(len(boxes))
     for n in range(len(boxes)):

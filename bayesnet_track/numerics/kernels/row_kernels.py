@@ -27,7 +27,7 @@ from bayesnet_track.numerics.arrays import (
     Ints,
 )
 from bayesnet_track.numerics.compiled import compiled
-from bayesnet_track.numerics.gaussian import carry, factor, root_of
+from bayesnet_track.numerics.gaussian import carry, factor, fill_root
 
 
 @compiled
@@ -311,7 +311,7 @@ def place_row(
     boxes, prior = points
     lower, remainder, scale = rooms
     size = mean.shape[0]
-    width = root_of(covariance, lower, remainder, scale, least_share)
+    width = fill_root(covariance, lower, remainder, scale, least_share)
     distance = math.sqrt(width + 1.0)
     log_first, log_other = -math.log(width + 1.0), -math.log(2.0 * (width + 1.0))
     for n in range(2 * width + 1):

@@ -82,7 +82,7 @@ def together(messages: Floats, offsets: Indices, speaking: Indices, size: int) -
 
 
 @compiled
-def ask(
+def ask_partners(
     k: int,
     members: Members,
     starts: Indices,
@@ -152,7 +152,7 @@ def speak(
     """
     boxes, losses, bad = members[0], members[1], members[2]
     for k in order:
-        partners, log_importance, free, occluded = ask(
+        partners, log_importance, free, occluded = ask_partners(
             k, members, starts, evidence, pairs, hearing, draws, messages
         )
         first, stop = starts[pairs[0][k]], starts[pairs[0][k] + 1]

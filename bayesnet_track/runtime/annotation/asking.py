@@ -164,7 +164,7 @@ def iou(first: Box, second: Box) -> float:
     return common / (first[2] * first[3] + second[2] * second[3] - common)
 
 
-def between(first: Box, second: Box, share: float) -> Box:
+def _box_between(first: Box, second: Box, share: float) -> Box:
     """The box at `share` of the way from one to the other."""
     x, y, w, h = ((1.0 - share) * a + share * b for a, b in zip(first, second, strict=True))
     return x, y, w, h
@@ -180,7 +180,7 @@ def fuse(frame: int, forward: TrackedBox, backward: TrackedBox, line: Box) -> Bo
     p, q = forward.probability, backward.probability
     if iou(forward.box, backward.box) > AGREE_IOU:
         right, wrong = p * q, BY_CHANCE * (1.0 - p) * (1.0 - q)
-        box = between(forward.box, backward.box, q / (p + q) if p + q > 0 else 0.5)
+        box = _box_between(forward.box, backward.box, q / (p + q) if p + q > 0 else 0.5)
         return BoxMark(frame, box, "tracked", _share(right, wrong))
     of_forward, of_backward, of_none = p * (1.0 - q), q * (1.0 - p), (1.0 - p) * (1.0 - q)
     larger = max(of_forward, of_backward)
@@ -213,7 +213,7 @@ class Asking:
 
 
 @dataclass(frozen=True)
-class Question:
+class FrameQuestion:
     """A frame that a person should look at.
 
     Attributes:
@@ -239,15 +239,15 @@ class Annotations:
     """
 
     marks: Mapping[str, Mapping[int, BoxMark]] = field(default_factory=dict)
-    questions: tuple[Question, ...] = ()
+    questions: tuple[FrameQuestion, ...] = ()
 
     @property
-    def failures(self) -> tuple[Question, ...]:
+    def failures(self) -> tuple[FrameQuestion, ...]:
         """Questions because of which a target is not tracked."""
         return tuple(question for question in self.questions if question.is_failure)
 
 
-def annotate(
+def annotate_video(
     answers: Mapping[str, Sequence[Answer]], runs: Runs, frames: int, asking: Asking | None = None
 ) -> Annotations:
     """The annotations that the answers (target -> answers by frame) give."""
@@ -263,7 +263,7 @@ def annotate(
 
 def annotate_target(
     target: str, answers: Sequence[Answer], runs: Runs, frames: int, asking: Asking
-) -> tuple[dict[int, BoxMark], Question | None]:
+) -> tuple[dict[int, BoxMark], FrameQuestion | None]:
     """The marks of one target by frame, and what to ask about it first."""
     marks = {answer.frame: _given(answer) for answer in answers}
     questions = []
@@ -280,7 +280,7 @@ def annotate_target(
 
 def fail(
     target: str, answers: Sequence[Answer], frame: int, reason: str
-) -> tuple[dict[int, BoxMark], Question]:
+) -> tuple[dict[int, BoxMark], FrameQuestion]:
     """The marks of a target that cannot be tracked, the given ones, and the question that says why.
 
     A box with which nothing can be computed is none of them.
@@ -291,7 +291,7 @@ def fail(
         if answer.box is None or usable(np.array([answer.box], dtype=np.float64))[0]
     }
     mark = marks.get(frame, BoxMark(frame, None, "gone", 0.0))
-    return marks, Question(target, frame, mark, f"not tracked: {reason}", True)
+    return marks, FrameQuestion(target, frame, mark, f"not tracked: {reason}", True)
 
 
 def _given(answer: Answer) -> BoxMark:
@@ -309,12 +309,12 @@ def _between(answer: Answer, following: Answer, runs: Runs) -> Iterator[BoxMark]
             continue
         backward = runs.at(following.frame, following.box, frame)
         share = (frame - answer.frame) / (following.frame - answer.frame)
-        yield fuse(frame, forward, backward, between(answer.box, following.box, share))
+        yield fuse(frame, forward, backward, _box_between(answer.box, following.box, share))
 
 
 def _doubt_between(
     target: str, answer: Answer, following: Answer, marks: Mapping[int, BoxMark], asking: Asking
-) -> Question | None:
+) -> FrameQuestion | None:
     """The most doubtful frame between two answers; of equals the one in the middle of the gap."""
     middle = (answer.frame + following.frame) / 2
     doubtful = [
@@ -331,12 +331,12 @@ def _doubt_between(
         if following.box is None
         else f"tracked forward from frame {answer.frame} and backward from frame {following.frame}"
     )
-    return Question(target, worst.frame, worst, f"{compared}, {how}")
+    return FrameQuestion(target, worst.frame, worst, f"{compared}, {how}")
 
 
 def _run_ahead(
     target: str, answer: Answer, runs: Runs, remaining: range, marks: dict[int, BoxMark], asking: Asking
-) -> Question | None:
+) -> FrameQuestion | None:
     """Track on from the last answer until a frame is to be asked about: the last one, if none before it.
 
     What follows the last answer is tracked in one direction alone: a sure run may be wrong, and only one back
@@ -359,11 +359,11 @@ def _run_ahead(
                 f"{frame - answer.frame} frames after the last answer; standard deviation "
                 f"{tracked.sd[0]:.0f} x {tracked.sd[1]:.0f} px{status}"
             )
-            return Question(target, frame, mark, reason)
+            return FrameQuestion(target, frame, mark, reason)
     if mark is None:
         return None
     reason = (
         f"the last frame: nothing is in doubt since frame {answer.frame}, but that was tracked forward "
         "alone; from here it is tracked backward, too"
     )
-    return Question(target, mark.frame, mark, reason)
+    return FrameQuestion(target, mark.frame, mark, reason)

@@ -20,7 +20,7 @@ from bayesnet_track.runtime.annotation.answers import Answer, AnswerError, in_fo
 from bayesnet_track.runtime.annotation.asking import BoxMark, Frames, Runs
 from bayesnet_track.runtime.annotation.formats.cvat import as_cvat, read_cvat
 from bayesnet_track.runtime.annotation.formats.json_formats import (
-    as_coco,
+    annotations_as_coco,
     as_label_studio,
     read_coco,
     read_label_studio,
@@ -30,8 +30,8 @@ from bayesnet_track.runtime.annotation.formats.reading import (
     MismatchError,
     annotations_in,
     read_json,
-    text_of,
-    unpacked,
+    text_of_file,
+    unpacked_folder,
 )
 from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of
 from bayesnet_track.runtime.annotation.formats.yolo import as_yolo, read_yolo
@@ -49,7 +49,7 @@ IGNORED = 0.0
 """The confidence of a box that is not to be scored: regions that are ignored, and other classes."""
 
 
-def as_mot(document: Document) -> bytes:
+def _as_mot(document: Document) -> bytes:
     """Text; the confidence is the probability, 1 where given. Names and what is gone have no place in it."""
     rows = sorted((mark.frame, number, mark, box) for number, _, mark, box in document.boxes())
     text = ""
@@ -71,7 +71,7 @@ def read_mot(path: Path, video: Video) -> list[Answer]:
         OSError: it cannot be read.
     """
     try:
-        lines = parse_mot(text_of(path), str(path))
+        lines = parse_mot(text_of_file(path), str(path))
     except ValueError as error:
         raise MismatchError(str(error)) from error
     scored = lines.only(lines.rest[:, 0] != IGNORED)
@@ -115,12 +115,12 @@ def _label(kind: str, classes: list[str]) -> str:
 def _classes(path: Path) -> list[str]:
     file = path.with_name("labels.txt")
     is_there = file.is_file() and file != path
-    return [line.strip() or "target" for line in text_of(file).rstrip().split("\n")] if is_there else []
+    return [line.strip() or "target" for line in text_of_file(file).rstrip().split("\n")] if is_there else []
 
 
 WRITERS: Mapping[str, Callable[[Document], Mapping[str, bytes]]] = {
-    "coco": lambda document: {"coco.json": as_coco(document)},
-    "mot": lambda document: {"mot.txt": as_mot(document)},
+    "coco": lambda document: {"coco.json": annotations_as_coco(document)},
+    "mot": lambda document: {"mot.txt": _as_mot(document)},
     "cvat": lambda document: {"cvat.xml": as_cvat(document)},
     "label-studio": lambda document: {"label_studio.json": as_label_studio(document)},
     "yolo": lambda document: {f"yolo/{name}": data for name, data in as_yolo(document).items()},
@@ -160,7 +160,7 @@ def read_annotations(path: Path, video: Video, images: Sequence[str] = ()) -> li
 
 
 def _read(path: Path, video: Video, images: Sequence[str]) -> list[Answer]:
-    with unpacked(path) as place:
+    with unpacked_folder(path) as place:
         file = annotations_in(place) if place.is_dir() else place
         if file.is_dir():
             return read_yolo(file, video, images)

@@ -24,8 +24,8 @@ from bayesnet_track.numerics.arrays import Image
 from bayesnet_track.runtime.annotation.identity_queue import (
     IdentityAnswer,
     IdentityAnswerError,
+    IdentityQuestion,
     IdentityQueue,
-    Question,
 )
 from bayesnet_track.runtime.live_view.controls import Refused
 from bayesnet_track.runtime.live_view.server import Server
@@ -154,7 +154,7 @@ AROUND = 12
 """Frames that are shown before the end and after the start that a question is about."""
 
 
-class Pictures:
+class JpegFrames:
     """Frames as JPEG, in a temporary file without a name."""
 
     def __init__(self, images: Iterable[tuple[int, Image]] = ()) -> None:
@@ -203,7 +203,7 @@ class IdentityServer:
         file: LineFile,
         header: Mapping[str, Any],
         limit: int,
-        pictures: Pictures,
+        pictures: JpegFrames,
         address: tuple[str, int | None] = ("127.0.0.1", None),
     ) -> None:
         self._queue, self._file, self._about, self._most = queue, file, header, limit
@@ -277,7 +277,7 @@ class IdentityServer:
             "questions": [self._shown(question) for question in questions[: self._most]],
         }
 
-    def _shown(self, question: Question) -> dict[str, Any]:
+    def _shown(self, question: IdentityQuestion) -> dict[str, Any]:
         """A question with the boxes of all that it is about, around the doubtful frames."""
         ends = [candidate.frame for candidate in question.candidates if candidate.frame is not None]
         first, final = max(min(ends, default=question.frame) - AROUND, 0), question.frame + AROUND

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bayesnet_track.adapt.chains import Posterior, infer, label_rows
-from bayesnet_track.adapt.tracklets import Links, Tracklet, TrackPath, cut, find_links, measure_spreads
+from bayesnet_track.adapt.chains import LinkPosterior, infer, label_rows
+from bayesnet_track.adapt.tracklets import Links, Tracklet, TrackPath, cut_paths, find_links, measure_spreads
 from bayesnet_track.journal.blocks import courses
 from bayesnet_track.journal.events.lives import Returned
 from bayesnet_track.journal.events.statuses import IdentityDoubtful
@@ -55,7 +55,7 @@ class IdentityAnswer:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class _Candidate:
     """Whom a start may continue.
 
     Attributes:
@@ -70,7 +70,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Question:
+class IdentityQuestion:
     """A start that a person should look at.
 
     Attributes:
@@ -84,7 +84,7 @@ class Question:
 
     target: str
     frame: int
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[_Candidate, ...]
     shown: str
     swap: str
     doubt: float
@@ -132,7 +132,7 @@ class Tracklets:
     @classmethod
     def of(cls, paths: Sequence[TrackPath], size: tuple[int, int], events: Iterable[Any] = ()) -> Tracklets:
         """The same of paths; `events` are those of the run."""
-        pieces = cut(paths)
+        pieces = cut_paths(paths)
         links = find_links(pieces, measure_spreads(paths, pieces), size)
         unweighed = cls(tuple(paths), tuple(pieces), links)
         return cls(unweighed.paths, unweighed.pieces, unweighed._weighed(events))
@@ -211,7 +211,7 @@ class IdentityQueue:
 
     tracklets: Tracklets
     answers: list[IdentityAnswer] = field(default_factory=list)
-    _posterior: Posterior | None = None
+    _posterior: LinkPosterior | None = None
 
     @property
     def in_force(self) -> tuple[IdentityAnswer, ...]:
@@ -225,7 +225,7 @@ class IdentityQueue:
         return tuple(standing)
 
     @property
-    def posterior(self) -> Posterior:
+    def posterior(self) -> LinkPosterior:
         """Posterior of who goes on as whom, given the answers."""
         if self._posterior is None:
             self._posterior = infer(self.tracklets.links, self._given())
@@ -309,7 +309,7 @@ class IdentityQueue:
                     give(following, previous)
         return continued
 
-    def questions(self, limit: int | None = None) -> list[Question]:
+    def questions(self, limit: int | None = None) -> list[IdentityQuestion]:
         """The least certain decisions, the most doubtful first; what is answered or skipped is none."""
         posterior, pieces = self.posterior, self.tracklets.pieces
         answered = {self.tracklets.starts.get((answer.target, answer.frame)) for answer in self.in_force}
@@ -345,7 +345,7 @@ class IdentityQueue:
                 joint = doubt[partner] * min(own_shares[rival] / max(doubt[start], 1e-12), 1.0)
             ranked.append((doubt[start] + joint, start, partner))
         ranked.sort(key=lambda entry: (-entry[0], entry[1]))
-        questions: list[Question] = []
+        questions: list[IdentityQuestion] = []
         covered: set[int] = set()
         for value, start, partner in ranked:
             if start in covered:
@@ -356,18 +356,18 @@ class IdentityQueue:
                 break
         return questions
 
-    def _question(self, start: int, shares: Mapping[int | None, float], doubt: float) -> Question:
+    def _question(self, start: int, shares: Mapping[int | None, float], doubt: float) -> IdentityQuestion:
         ranked = sorted(shares.items(), key=lambda share: -share[1])
         candidates = tuple(
-            Candidate("new", share, None)
+            _Candidate("new", share, None)
             if end is None
-            else Candidate(self.tracklets.target(end), share, self.tracklets.pieces[end].frames[1])
+            else _Candidate(self.tracklets.target(end), share, self.tracklets.pieces[end].frames[1])
             for end, share in ranked
             if share >= 0.005
         )
         likeliest = self.posterior.chosen.get(start)
         shown_name = "new" if likeliest is None else self.tracklets.target(likeliest)
-        return Question(
+        return IdentityQuestion(
             self.tracklets.target(start),
             self.tracklets.pieces[start].frames[0],
             candidates,

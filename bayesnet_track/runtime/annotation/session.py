@@ -34,7 +34,7 @@ from bayesnet_track.runtime.annotation.asking import (
     Annotations,
     Asking,
     BoxMark,
-    Question,
+    FrameQuestion,
     Runs,
     TrackedBox,
     annotate_target,
@@ -146,7 +146,7 @@ class Session:
 
     def _track(
         self, target: str, of_target: Sequence[Answer], watched: _Watched
-    ) -> tuple[Mapping[int, BoxMark], Question | None]:
+    ) -> tuple[Mapping[int, BoxMark], FrameQuestion | None]:
         """The marks of a target and what is asked about it: where it fails, the given ones, and why."""
         video, max_side = self.header.video, self.header.max_side
         for answer in of_target:

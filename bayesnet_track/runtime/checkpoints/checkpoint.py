@@ -83,7 +83,7 @@ class Checkpoint:
         Raises:
             CheckpointError: the frame has other pixels, or the state is of another version or graph.
         """
-        if pixels_of(frame) != self.pixels:
+        if _pixels_of(frame) != self.pixels:
             raise CheckpointError(f"frame {frame.index} of the source has other pixels than it had")
         try:
             state: State = decode_state(self.state, engine, frame)
@@ -92,10 +92,10 @@ class Checkpoint:
         return RunPosition(frame, state, self.frames, self.reconfigurations, self.lost_frames)
 
 
-def pixels_of(frame: Frame) -> int:
+def _pixels_of(frame: Frame) -> int:
     """A checksum of all that a frame shows, of several cameras in all of them."""
     if frame.cameras is not None:
-        checksums = [pixels_of(image) for image in frame.cameras.values()]
+        checksums = [_pixels_of(image) for image in frame.cameras.values()]
         return zlib.crc32(np.array(checksums, np.uint32).tobytes())
     if frame.place is not None:
         return int(frame.place.checksum)
@@ -245,7 +245,7 @@ def checkpoint_of(position: RunPosition, written: FilePositions, recipe: str) ->
     return Checkpoint(
         recipe,
         position.frame.index,
-        pixels_of(position.frame),
+        _pixels_of(position.frame),
         position.frames,
         position.reconfigurations,
         position.lost_frames,

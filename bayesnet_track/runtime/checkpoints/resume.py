@@ -58,7 +58,7 @@ from bayesnet_track.runtime.checkpoints.standing import (
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.given_scans import given_detector
 from bayesnet_track.runtime.pace import Deadline
-from bayesnet_track.runtime.recording.manifest import finish, lock_run, settle, settle_broken, tidy
+from bayesnet_track.runtime.recording.manifest import finish_run, lock_run, settle, settle_broken, tidy
 from bayesnet_track.runtime.recording.record import FilePositions, Forecaster, Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.resizing import Resizing
@@ -225,7 +225,7 @@ def resume(
         )
         yield from results if resumed is None else _first_guarded(results, resumed.reached.frame.index)
         if totals.frames:
-            finish(directory, recorder.finish(), small_files)
+            finish_run(directory, recorder.finish(), small_files)
 
 
 def _permit_move(

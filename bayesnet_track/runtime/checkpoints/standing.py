@@ -36,7 +36,7 @@ TAIL_BYTES = 1 << 16
 
 
 @dataclass(frozen=True)
-class Standing:
+class RunStanding:
     """Progress of a run.
 
     Attributes:
@@ -50,7 +50,7 @@ class Standing:
     reason: str | None = None
 
 
-def standing(path: str | PathLike[str]) -> Standing:
+def standing(path: str | PathLike[str]) -> RunStanding:
     """Progress of the run in a directory, by its files alone.
 
     Raises:
@@ -61,16 +61,16 @@ def standing(path: str | PathLike[str]) -> Standing:
     """
     directory = RunDirectory(Path(path))
     if directory.is_replacing:  # nothing of it was tracked yet
-        return Standing(False)
+        return RunStanding(False)
     directory.check_version()
     Recipe.read(directory)
     reason = _ending(directory.journal)
     if read_manifest(directory.manifest) is not None:
-        return Standing(True, None, reason)
+        return RunStanding(True, None, reason)
     checkpoint = newest_checkpoint(directory)
     if checkpoint is not None:
-        return Standing(False, checkpoint.frame, reason)
-    return Standing(False, None, reason)
+        return RunStanding(False, checkpoint.frame, reason)
+    return RunStanding(False, None, reason)
 
 
 def _ending(journal: Path) -> str | None:

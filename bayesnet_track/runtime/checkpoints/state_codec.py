@@ -137,10 +137,10 @@ def encode_state(state: State) -> bytes:
     Raises:
         StateError: it holds something of a class that is not known here.
     """
-    return encode(state, CLASSES, state.previous)
+    return encode_value(state, CLASSES, state.previous)
 
 
-def encode(value: Any, classes: tuple[type, ...], outer_frame: Frame | None = None) -> bytes:
+def encode_value(value: Any, classes: tuple[type, ...], outer_frame: Frame | None = None) -> bytes:
     """A value made of `classes`, plain values, tuples, mappings and arrays as bytes; without `outer_frame`.
 
     Raises:
@@ -158,16 +158,16 @@ def decode_state(data: bytes, engine: Engine, frame: Frame | None) -> State:
     Raises:
         StateError: they are no state of this version, or none of this engine's graph.
     """
-    state = decode(data, CLASSES, engine, None if frame is None else engine.on_clock(frame))
+    state = decode_value(data, CLASSES, engine, None if frame is None else engine.on_clock(frame))
     if not isinstance(state, State):
         raise StateError(f"damaged: a {type(state).__name__} in place of the state")
     return state
 
 
-def decode(
+def decode_value(
     data: bytes, classes: tuple[type, ...], engine: Engine | None = None, outer_frame: Frame | None = None
 ) -> Any:
-    """The inverse of `encode`; plans are compiled with `engine`.
+    """The inverse of `encode_value`; plans are compiled with `engine`.
 
     Raises:
         StateError: the bytes hold something else.

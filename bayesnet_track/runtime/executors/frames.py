@@ -25,7 +25,7 @@ import numpy as np
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Depth, Frame, PointMap, RightEye, StereoGeometry
 from bayesnet_track.observation.settings import by_command_line, setting
-from bayesnet_track.runtime.executors.messages import Call
+from bayesnet_track.runtime.executors.messages import CueCall
 from bayesnet_track.sources.entrances.notices import heard, notice
 from bayesnet_track.sources.frames import EndReason, SourceItem
 from bayesnet_track.sources.origin import Origin
@@ -37,7 +37,7 @@ ALIGNED = 64
 
 
 @dataclass(frozen=True)
-class Block:
+class _Block:
     """An array in the shared memory."""
 
     offset: int
@@ -54,13 +54,13 @@ class SharedFrame:
     time: float
     time_s: float
     has_color: bool
-    image: Block
-    depth: Block | None
+    image: _Block
+    depth: _Block | None
     geometry: StereoGeometry | None
     stride: int
 
 
-class FrameStore:
+class FrameRing:
     """The engine's side: a ring of slots, of which each holds one frame with its depth.
 
     Attributes:
@@ -82,7 +82,7 @@ class FrameStore:
         for stored, shared in self._held:
             if stored is frame:
                 return shared
-        second = pixels_of(frame.depth)
+        second = _pixels_of(frame.depth)
         size = _align(frame.image.nbytes) + (0 if second is None else _align(second.nbytes))
         if size > self._slot_size:
             self._grow(size)
@@ -115,8 +115,8 @@ class FrameStore:
             self._memory.close()
         self._memory = mmap.mmap(self.descriptor, self._base + SLOTS * size)
 
-    def _write(self, array: Array, offset: int) -> Block:
-        block = Block(offset, array.shape, array.dtype.str)
+    def _write(self, array: Array, offset: int) -> _Block:
+        block = _Block(offset, array.shape, array.dtype.str)
         assert self._memory is not None
         target = np.frombuffer(self._memory, array.dtype, array.size, offset).reshape(array.shape)
         target[...] = array
@@ -155,7 +155,7 @@ class FrameView:
         pixels = self._array(shared.depth)
         return PointMap(pixels) if shared.geometry is None else RightEye(pixels, shared.geometry)
 
-    def _array(self, block: Block) -> Array:
+    def _array(self, block: _Block) -> Array:
         dtype, size = np.dtype(block.dtype), math.prod(block.shape)
         end = block.offset + size * dtype.itemsize
         if self._memory is None or len(self._memory) < end:
@@ -165,7 +165,7 @@ class FrameView:
         return np.frombuffer(self._memory, dtype, size, block.offset).reshape(block.shape)
 
 
-def pixels_of(depth: Depth | None) -> Array | None:
+def _pixels_of(depth: Depth | None) -> Array | None:
     """The other eye's picture, or the points."""
     if depth is None:
         return None
@@ -340,7 +340,7 @@ class HostedSource:
     numbers: range
 
     def __init__(
-        self, camera: str, origin: Origin, ask: Callable[[Call], Any], close_host: Callable[[], None]
+        self, camera: str, origin: Origin, ask: Callable[[CueCall], Any], close_host: Callable[[], None]
     ) -> None:
         self._camera, self._ask, self.close = camera, ask, close_host
         self.description = origin.description
@@ -367,7 +367,7 @@ class HostedSource:
     def _ask_host(self, method: str, *arguments: int) -> Any:
         """The answer of the host, where frames wait for it."""
         try:
-            return self._ask(Call(stream_name(self._camera), method, None, None, arguments))
+            return self._ask(CueCall(stream_name(self._camera), method, None, None, arguments))
         except Exception as error:  # of any type: it was raised in another process
             position = "".join(f" after {number}" for number in arguments)
             raise SourceError(

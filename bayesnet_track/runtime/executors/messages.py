@@ -33,7 +33,7 @@ class EncodedReference:
     arrays: Mapping[str, tuple[int | None, Array | None]]
 
 
-class Call(NamedTuple):
+class CueCall(NamedTuple):
     """One call of a cue's method, as the engine makes it; with the last two, as a worker is told of it.
 
     Attributes:
@@ -70,7 +70,7 @@ class Dismiss(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class CallOutcome:
     """The outcome of a question.
 
     Attributes:
@@ -102,12 +102,12 @@ class Sent:
         self._by_number: dict[int, Array] = {}
         self._bytes = 0
 
-    def question(self, call: Call) -> Call:
+    def question(self, call: CueCall) -> CueCall:
         """The question, references in its arguments told."""
         # First: an array that this question contains or refers to must outlast it.
         forget = self._forgotten()
         encoded = tuple(self.encode(part) if isinstance(part, Mapping) else part for part in call.arguments)
-        return Call(*call[:4], encoded, self.next_number, forget)
+        return CueCall(*call[:4], encoded, self.next_number, forget)
 
     def encode(self, reference: Mapping[str, Any]) -> EncodedReference:
         """The reference, without the arrays that the worker has."""

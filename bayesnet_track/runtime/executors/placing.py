@@ -22,9 +22,9 @@ from bayesnet_track.runtime.executors.frames import (
     stream_name,
 )
 from bayesnet_track.runtime.executors.processes import (
+    AgentProcesses,
+    AgentProxy,
     Learnt,
-    Placed,
-    Processes,
     SentFrames,
     Transport,
 )
@@ -38,23 +38,23 @@ from bayesnet_track.sources.reopen import reopen
 from bayesnet_track.sources.sources import DETECTION_SUFFIXES
 
 
-def _log_likelihood(self: Placed, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
+def _log_likelihood(self: AgentProxy, planes: Planes, hypotheses: Hypotheses, reference: Reference) -> Floats:
     answer: Floats = self.ask("log_likelihood", planes, hypotheses, reference)
     return answer
 
 
 def _measure(
-    self: Placed, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
+    self: AgentProxy, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
 ) -> Measurement | None:
     answer: Measurement | None = self.ask("measure", planes, hypotheses, weights, reference)
     return answer
 
 
-def _learn_turned(self: Placed, planes: Planes, box: Floats, angle: float) -> Reference:
+def _learn_turned(self: AgentProxy, planes: Planes, box: Floats, angle: float) -> Reference:
     return Learnt(self, "learn_turned", planes, (box, angle))
 
 
-def _adapt(self: Placed, reference: Reference, attempt: int) -> Reference | None:
+def _adapt(self: AgentProxy, reference: Reference, attempt: int) -> Reference | None:
     tuned: Reference | None = self.ask("adapt", None, reference, attempt)
     return tuned
 
@@ -75,7 +75,7 @@ def make_proxy(agent: str, cue: AnyCue, transport: Transport, sent: SentFrames) 
         methods["rule"] = cue.rule
     from bayesnet_track.observation.cue import context_of
 
-    kind = type("Placed" + type(cue).__name__, (Placed,), methods)
+    kind = type("Placed" + type(cue).__name__, (AgentProxy,), methods)
     proxy: AnyCue = kind(agent, transport, sent, context_of(cue))
     return proxy
 
@@ -220,7 +220,7 @@ class Executing:
     ) -> None:
         self.hosts = hosts
         self.kind, self.workers = kind, workers
-        self.processes: Processes | None = None
+        self.processes: AgentProcesses | None = None
         self._default, self._places, self._limits = default, places, limits
         self._retries, self._cues = retries, cues
         self._open = ExitStack()
@@ -268,14 +268,14 @@ class Executing:
             transport.close()
             raise
 
-    def _transport(self, retries: int) -> Processes:
+    def _transport(self, retries: int) -> AgentProcesses:
         """The processes, with none at work yet where there were none; raises PlacingError."""
         if self.processes is None:
             if not has_workers():
                 raise PlacingError(no_workers())
             attempts = retries if self._retries is None else self._retries
             hosts = RayHosts(self._limits) if self.hosts == "ray" else None
-            self.processes = Processes(self.workers, self._limits, attempts, hosts)
+            self.processes = AgentProcesses(self.workers, self._limits, attempts, hosts)
         return self.processes
 
     def engine(self, engine: Engine, retries: int = RETRIES) -> Engine:

@@ -19,8 +19,8 @@ from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.numerics.arrays import Array, Floats
 from bayesnet_track.observation.cue import Making, Reference
 from bayesnet_track.observation.planes import Frame, FramePair, Plane, Planes, Region
-from bayesnet_track.runtime.executors.frames import FrameStore
-from bayesnet_track.runtime.executors.messages import LEARN_AND_BLEND, Answer, Call, Foreign
+from bayesnet_track.runtime.executors.frames import FrameRing
+from bayesnet_track.runtime.executors.messages import LEARN_AND_BLEND, CallOutcome, CueCall, Foreign
 from bayesnet_track.runtime.executors.worker_pool import AgentSpec, RayHosts, Slot, WorkerPool
 from bayesnet_track.runtime.executors.workers import (
     Late,
@@ -40,7 +40,7 @@ class Transport(Protocol):
     def send_frame(self, frame: Frame) -> Any:
         """Bring a frame to where the agents are; what says there which one it is, and can be pickled."""
 
-    def ask(self, call: Call) -> Any:
+    def ask(self, call: CueCall) -> Any:
         """Return what the agent's cue returns.
 
         Raises:
@@ -48,7 +48,7 @@ class Transport(Protocol):
             Exception: of the type name and the text of what the cue raised.
         """
 
-    def begin(self, call: Call) -> Callable[[], Any]:
+    def begin(self, call: CueCall) -> Callable[[], Any]:
         """`ask`, whose answer what is returned waits for."""
 
 
@@ -75,7 +75,7 @@ class SentFrames:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class AgentProxy:
     """Common part of all proxies: a name to ask by, and the plane that sends frames."""
 
     agent: str
@@ -106,13 +106,13 @@ class Placed:
         blended: Reference = self.ask(*self._blending(learned, recent, rate))
         return blended
 
-    def _call(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> Call:
+    def _call(self, method: str, planes: Planes | None, arguments: tuple[Any, ...]) -> CueCall:
         # Before the transport is busy with this question: what was learnt may have to be asked for.
         encodable = tuple([dict(part) if type(part) is Learnt else part for part in arguments])
         if planes is None:
-            return Call(self.agent, method, None, None, encodable)
+            return CueCall(self.agent, method, None, None, encodable)
         current, previous = planes[self.sent]
-        return Call(self.agent, method, (current, previous), planes.region, encodable)
+        return CueCall(self.agent, method, (current, previous), planes.region, encodable)
 
     def _blending(self, learned: Reference, recent: Reference, rate: float) -> tuple[Any, ...]:
         if isinstance(recent, Learnt) and recent.of is self and recent.planes is not None:
@@ -123,7 +123,7 @@ class Placed:
 class Learnt(Mapping[str, NDArray[Any]]):
     """A reference that is asked for when it is looked into; one that is only blended never crosses."""
 
-    def __init__(self, placed: Placed, method: str, planes: Planes, arguments: tuple[Any, ...]) -> None:
+    def __init__(self, placed: AgentProxy, method: str, planes: Planes, arguments: tuple[Any, ...]) -> None:
         self.of, self.method, self.arguments = placed, method, arguments
         self.planes: Planes | None = planes
         self._arrays: Reference = {}
@@ -157,12 +157,12 @@ class Pending:
 
     __slots__ = ("agent", "asked", "is_sent", "lost", "outcome", "patience", "sent_at", "until")
 
-    def __init__(self, call: Call, patience: WaitBudget | None) -> None:
+    def __init__(self, call: CueCall, patience: WaitBudget | None) -> None:
         self.agent = call.agent
         self.asked, self.patience = call, patience
         self.is_sent, self.sent_at = False, 0.0
         self.until: float | None = None
-        self.outcome: Answer | Exception | None = None
+        self.outcome: CallOutcome | Exception | None = None
         self.lost: list[str] = []
 
     def until_from(self, asked_at: float) -> float | None:
@@ -174,7 +174,7 @@ COMING_S = 0.002
 """Seconds after which it is looked whether a worker that is being started is there."""
 
 
-class Processes:
+class AgentProcesses:
     """Agents in supervised worker processes.
 
     A worker starts when one of its agents is first asked and ends when none was for a while. One that dies,
@@ -191,7 +191,7 @@ class Processes:
     def __init__(self, workers: int, limits: Limits, retries: int, hosts: RayHosts | None) -> None:
         self.retries, self.patience, self.hosts = retries, None, hosts
         with _starting():
-            self._store = FrameStore()
+            self._store = FrameRing()
         self._pool = WorkerPool(workers, limits, self._store.descriptor, hosts)
         self._unsent: list[Pending] = []
         self._frames = 0
@@ -221,13 +221,13 @@ class Processes:
                 self._pool.look_after(self._frames)
             return shared
 
-    def ask(self, call: Call) -> Any:
+    def ask(self, call: CueCall) -> Any:
         """Return what the agent's cue returns; raises what it raised, by type name and text, or
         AgentUnavailable.
         """
         return self.begin(call)()
 
-    def begin(self, call: Call) -> Callable[[], Any]:
+    def begin(self, call: CueCall) -> Callable[[], Any]:
         """`ask`, in two halves: what waits for the answer is returned, while the agent is at work."""
         pending = Pending(call, self.patience)
         with self._asking:
@@ -273,7 +273,7 @@ class Processes:
         tries = f", {len(pending.lost)} times" if len(pending.lost) > 1 else ""
         raise AgentUnavailable(f"{pending.lost[-1]}{tries}")
 
-    def _take_answer(self, pending: Pending) -> Answer:
+    def _take_answer(self, pending: Pending) -> CallOutcome:
         """The answer to one attempt; raises WorkerLost, Late or AgentUnavailable."""
         if not pending.is_sent and pending.outcome is None:
             if pending in self._unsent:
@@ -375,7 +375,7 @@ class Processes:
 
     def _drop_answer(self, slot: Slot, worker: Worker, due: float | None) -> None:
         """Wait for an answer that is too late for its question, but due before the next."""
-        slot.asked = late = Pending(Call(str(worker.busy_with), "", None, None, ()), None)
+        slot.asked = late = Pending(CueCall(str(worker.busy_with), "", None, None, ()), None)
         late.until = due
         self._drive(late)
         if isinstance(late.outcome, Exception):

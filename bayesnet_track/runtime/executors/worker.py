@@ -28,8 +28,8 @@ from bayesnet_track.observation.cue import FAULTS, AnyCue, Measurement, foreign_
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, shown
 from bayesnet_track.runtime.executors.messages import (
     LEARN_AND_BLEND,
-    Answer,
-    Call,
+    CallOutcome,
+    CueCall,
     Dismiss,
     Employ,
     EncodedReference,
@@ -88,19 +88,19 @@ class AgentHost:
         """Drop the cue of an agent."""
         self._cues.pop(agent, None)
 
-    def answer(self, question: Call) -> Answer:
+    def answer(self, question: CueCall) -> CallOutcome:
         """Ask the cue; an exception that it raises becomes part of the answer."""
         began_s = time.perf_counter()
         try:
             value = self._ask(question)
-            return Answer(value, seconds=time.perf_counter() - began_s)
+            return CallOutcome(value, seconds=time.perf_counter() - began_s)
         except FAULTS as error:  # a guest's code: the engine decides what comes of it
             seconds = time.perf_counter() - began_s
             if self._is_limited and _is_shortage(error):
-                return Answer(out_of_memory=True, seconds=seconds)
-            return Answer(raised=(type(error).__name__, text_of(error)), seconds=seconds)
+                return CallOutcome(out_of_memory=True, seconds=seconds)
+            return CallOutcome(raised=(type(error).__name__, text_of(error)), seconds=seconds)
 
-    def _ask(self, question: Call) -> Any:
+    def _ask(self, question: CueCall) -> Any:
         received = self._received
         received.forget(question.forget)
         cue: Any = self._cues[question.agent]
@@ -230,10 +230,10 @@ def _load(cue_files: bytes) -> None:
     import bayesnet_track.inference.compile
     import bayesnet_track.numerics.kernels.box_kernels
     import bayesnet_track.runtime.executors.frames  # noqa: F401
-    from bayesnet_track.observation.cue_files import unpack
+    from bayesnet_track.observation.cue_files import unpack_cue_files
 
     cv2.setNumThreads(1)
-    unpack(cue_files)
+    unpack_cue_files(cue_files)
     gc.collect()
     gc.freeze()  # workers share that memory, and none looks through it again
 

@@ -17,7 +17,7 @@ from threading import Thread
 from typing import Any
 
 from bayesnet_track.inference.asking import AgentUnavailable
-from bayesnet_track.observation.cue_files import pack as pack_cue_files
+from bayesnet_track.observation.cue_files import pack_cue_files as pack_cue_files
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.origins import describe_machine, name_differences
 from bayesnet_track.runtime.executors.frames import STREAM
@@ -41,10 +41,10 @@ NOTEWORTHY_S = 0.0005
 """... and it spends more than this on a frame."""
 
 
-def pack(costs: Mapping[str, float], workers: int) -> list[set[str]]:
+def spread_agents(costs: Mapping[str, float], workers: int) -> list[set[str]]:
     """Agents for each worker: the most expensive first, each to the worker that has least to do.
 
-    >>> [sorted(own) for own in pack({"a": 3.0, "b": 2.0, "c": 2.0}, 2)]
+    >>> [sorted(own) for own in spread_agents({"a": 3.0, "b": 2.0, "c": 2.0}, 2)]
     [['a'], ['b', 'c']]
     """
     loads, packing = [0.0] * workers, [set[str]() for _ in range(workers)]
@@ -62,7 +62,7 @@ def busiest(costs: Mapping[str, float], packing: Sequence[set[str]]) -> float:
 
 def repack(costs: Mapping[str, float], packing: Sequence[set[str]]) -> list[set[str]] | None:
     """A better packing of the same agents, or None where moving them is not worth it."""
-    load, better = busiest(costs, packing), pack(costs, len(packing))
+    load, better = busiest(costs, packing), spread_agents(costs, len(packing))
     if load < NOTEWORTHY_S or busiest(costs, better) >= WORTH_MOVING * load:
         return None
     return better
@@ -289,7 +289,7 @@ class WorkerPool:
         self._asked_in |= dict.fromkeys(agents, 0)
         if free:
             self._free = [Slot() for _ in range(min(self._workers, len(free)))]
-            self._assign(pack(free, len(self._free)))
+            self._assign(spread_agents(free, len(self._free)))
         self.slots = [*self._free, *self._hosts.values()]
 
     def slot(self, agent: str) -> Slot:

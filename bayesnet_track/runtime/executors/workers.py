@@ -19,11 +19,11 @@ from typing import IO, Any, Protocol
 
 from bayesnet_track.inference.asking import AgentUnavailable
 from bayesnet_track.observation.child import cut, python, tie
-from bayesnet_track.observation.cue_files import pack
+from bayesnet_track.observation.cue_files import pack_cue_files
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.executors.messages import (
-    Answer,
-    Call,
+    CallOutcome,
+    CueCall,
     Dismiss,
     Employ,
     EncodedReference,
@@ -193,7 +193,7 @@ class ForkServer:
 @contextmanager
 def _cue_files() -> Iterator[int | IO[bytes]]:
     """The file from which the fork server reads the engine's cue files."""
-    content = pack()
+    content = pack_cue_files()
     if not content:
         yield subprocess.DEVNULL
         return
@@ -312,7 +312,7 @@ class Worker:
         self._send(Dismiss(agent))
         self.agents.discard(agent)
 
-    def ask(self, call: Call) -> None:
+    def ask(self, call: CueCall) -> None:
         """Send it a question; raises WorkerLost."""
         question = self._sent.question(call)
         agent, method = call[:2]
@@ -324,14 +324,14 @@ class Worker:
         self.busy_with, self.until = agent, time.monotonic() + self._patience_s
         self._send(question)
 
-    def answer(self) -> Answer:
+    def answer(self) -> CallOutcome:
         """Its answer, which is there; references told in it are understood.
 
         Raises:
             WorkerLost: there is none, and never will be.
         """
         try:
-            answer: Answer = receive(self.channel)
+            answer: CallOutcome = receive(self.channel)
         except (EOFError, OSError):
             raise WorkerLost(self._death()) from None
         except Exception:  # nor could what follows in the channel

@@ -158,7 +158,7 @@ class Thumbnails:
                 if self._is_closed:
                     return
                 frame, image = self._waiting[0]
-            data = encode(image)
+            data = encode_jpeg(image)
             with self._news:
                 self._waiting.popleft()
                 if data and frame not in self._kept:
@@ -178,7 +178,7 @@ class Thumbnails:
             self._order = [frame for frame in self._order if frame in self._kept]
 
 
-def encode(image: Image) -> bytes:
+def encode_jpeg(image: Image) -> bytes:
     """A JPEG of at most about 640 x 480 px; empty where there is none."""
     import cv2
 

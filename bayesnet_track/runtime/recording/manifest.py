@@ -196,7 +196,7 @@ def read_manifest(path: Path) -> Manifest | None:
     return manifest
 
 
-def finish(directory: RunDirectory, written: Mapping[str, Position], small: Mapping[str, bytes]) -> None:
+def finish_run(directory: RunDirectory, written: Mapping[str, Position], small: Mapping[str, bytes]) -> None:
     """Write the manifest, by which the run is finished, and remove what it needed only until then.
 
     It vouches for what the run wrote. A file of `small` that something else changed or removed meanwhile is
@@ -370,7 +370,7 @@ def write_smoothed(run: Run, smoothed: SmoothedRun, out: Path, overwrite: bool =
         # Empty, a journal makes the folder a run, which may be overwritten.
         replace_run(directory, {"journal": b"", **contents})
         with_csv = run.directory.csv.is_file()
-        finish(directory, _write_lines(directory, smoothed, run.spec, with_csv), contents)
+        finish_run(directory, _write_lines(directory, smoothed, run.spec, with_csv), contents)
 
 
 def _write_lines(

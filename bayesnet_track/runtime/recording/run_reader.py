@@ -54,7 +54,7 @@ SCENE = "scene:"
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class RunPictures:
     """Pictures of a run.
 
     Attributes:
@@ -77,7 +77,7 @@ class Found:
 @contextmanager
 def pictures_of(
     directory: RunDirectory, header: RunStarted, first: int, final: int
-) -> Iterator[tuple[Found | None, str]]:
+) -> Iterator[tuple[RunPictures | None, str]]:
     """The pictures of frames `first` to `final`, with why they are not those of the source, or not there.
 
     The source is opened as it was for the run, but never over the network; where it is gone, or its pictures
@@ -98,7 +98,7 @@ def pictures_of(
                 # The video has the frames that were tracked, one after the other.
                 place = (first, _stride(directory)) if annotated else (0, 1)
                 main = next(iter(getattr(source, "sources", {})), "")
-                yield Found(_between(source, first, final, place, size), annotated, main), ""
+                yield RunPictures(_between(source, first, final, place, size), annotated, main), ""
                 return
             was = f"{header.width}x{header.height}"
             reasons.append(f"{source.description} is {source.width}x{source.height} px now, and was {was}")
@@ -199,7 +199,7 @@ def page_data(
 
 
 def page_in_one(
-    data: Data, images: Found | None, missing: str, expected: int, largest: int = LARGEST
+    data: Data, images: RunPictures | None, missing: str, expected: int, largest: int = LARGEST
 ) -> Iterator[str]:
     """The text of a page in one file, in pieces.
 

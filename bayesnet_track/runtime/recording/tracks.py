@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bayesnet_track.belief.motion.modes import key_of
+from bayesnet_track.belief.motion.modes import mode_key
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.plates import ground_fields, root_of
@@ -25,7 +25,7 @@ from bayesnet_track.graph.settings.queries import query_columns
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.frame_columns import columns_of, narrowed, strings
 from bayesnet_track.journal.frame_file import FrameFile
-from bayesnet_track.journal.metrics import NOT_SHOWN, Answer, Answers, FrameMetrics, numbers_of
+from bayesnet_track.journal.metrics import NOT_SHOWN, Answers, FrameMetrics, QueryAnswer, numbers_of
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.cameras import UNSEEN, GroundView
@@ -59,7 +59,7 @@ def category_columns(graph: GraphSpec) -> tuple[str, ...]:
     roots = (root_of(target) for target in graph.targets.values())
     written = (root.category for root in roots if root is not None and root.category is not None)
     keys = (
-        key_of(name, value)
+        mode_key(name, value)
         for categories in written
         for name, category in categories.items()
         for value in category.values
@@ -349,14 +349,14 @@ class QueryWriter(LineFile):
                 self.append(f"{first},{name},{_cell(subject)},{_numbers(answer, _cell(answered.unit))}")
 
 
-def _lines_of(answered: Answers) -> Iterator[tuple[str, Answer]]:
+def _lines_of(answered: Answers) -> Iterator[tuple[str, QueryAnswer]]:
     for subject in answered.subjects:
         yield " ".join(subject), answered[subject]
     if answered.total is not None:
         yield "all", answered.total
 
 
-def _numbers(answer: Answer, unit: str) -> str:
+def _numbers(answer: QueryAnswer, unit: str) -> str:
     if answer.sd is None:
         return f"{_number_cell(answer.mean)},,,,,"
     cells = (answer.mean, answer.sd, answer.low, answer.high)

@@ -94,11 +94,11 @@ def middle_of(values: NDArray[Any]) -> ValueRange:
 
 def flag_of(value_range: Sequence[float]) -> str:
     """Option that gives a range."""
-    low, high = (text_of(value) for value in value_range)
+    low, high = (_number_text(value) for value in value_range)
     return setting("--range", f"{low},{high}", f"({low}, {high})")
 
 
-def text_of(value: Any) -> str:
+def _number_text(value: Any) -> str:
     """A number in words, six digits of it."""
     return f"{float(value):.6g}"
 
@@ -249,13 +249,13 @@ def explain_loss(
     finite = colors[np.isfinite(colors)] if colors.dtype.kind == "f" else colors
     if finite.size == 0:
         return "no value of the first frame is a finite number"
-    extent = f"{text_of(finite.min())}..{text_of(finite.max())}"
+    extent = f"{_number_text(finite.min())}..{_number_text(finite.max())}"
     if value_range is not None:
         clipped = float(np.mean((finite < value_range[0]) | (finite > value_range[1])))
         if clipped > MOST_CLIPPED:
             return (
                 f"{100 * clipped:.0f} % of the values of the first frame lie outside of the range "
-                f"{text_of(value_range[0])}..{text_of(value_range[1])} and become black or white: "
+                f"{_number_text(value_range[0])}..{_number_text(value_range[1])} and become black or white: "
                 f"they lie in {extent}"
             )
     levels, remaining = len(np.unique(finite)), len(np.unique(converted))

@@ -89,7 +89,7 @@ FRAMES = (
     Entrance(
         "cameras",
         "`--source 0`, `track`, `open_source`",
-        ("sources.live: camera_reader Camera.__init__",),
+        ("sources.live: camera_reader _Camera.__init__",),
         "levels that are lost at 8 bits; frames that were dropped are in the journal",
         "an index without a camera; a stride; repeating the run",
         "`0` is a camera, `./0` a file",
@@ -108,7 +108,7 @@ FRAMES = (
     Entrance(
         "depth",
         "`--depth FOLDER`; `depth=` of `Tracker`",
-        ("sources.stereo_source: read_points _array _depth_image",),
+        ("sources.stereo_source: read_depth_points _array _depth_image",),
         "nothing: every file has its frame",
         "another number of files than of images, numbers without a partner, another size, several images "
         "in a file; depths without a calibration",
@@ -119,7 +119,7 @@ FRAMES = (
         "`--right`, `--stereo side_by_side`, `--calibration`, `calibrate`, `learn-stereo`",
         (
             "sources.stereo_source: open_stereo_source",
-            "vision.calibration: read_calibration _entries",
+            "vision.calibration: read_rectification _entries",
         ),
         "nothing: frames without a partner are damage, which the journal has",
         "left and right of different numbers, sizes or times; a calibration with missing or infinite "
@@ -195,7 +195,7 @@ BOXES = (
         "what sensors measured, in a file",
         "`--detections FILE.csv` for a graph whose sensors measure quantities; `track(..., detections=)`; "
         "its times as `--source`",
-        ("sources.scan_files: scan_file parse_scans times_of ScanReader _table",),
+        ("sources.scan_files: scan_file parse_scans _times_of ScanReader _table",),
         "numbers that are not finite or lie outside of `within`, with their lines; columns that nothing "
         "measures; a sensor without a detection; rows of frames that are not read",
         "a missing column, or `frame` and `time_s` together; a cell that is no number, or empty beside "
@@ -279,7 +279,7 @@ BOXES = (
             "runtime.annotation.desk: read_mot _classes",
             "runtime.annotation.formats.yolo: read_yolo _frames _about _about_of_yaml",
             "runtime.annotation.formats.reading: read_json read_xml",
-            "runtime.annotation.formats.reading: _unpack text_of",
+            "runtime.annotation.formats.reading: _unpack text_of_file",
         ),
         "boxes of frames that the video does not have, outside of the frame, without an area or an "
         "identity, between key frames, of confidence 0 (MOT), or there twice; targets without any; shapes "

@@ -132,7 +132,7 @@ class NotTextError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class TextLines:
     """A text as lines of words.
 
     Attributes:
@@ -160,7 +160,7 @@ class Lines:
                 yield number, words
 
 
-def split_lines(text: str, name: str) -> Lines:
+def split_lines(text: str, name: str) -> TextLines:
     """The lines of a text, whatever ends them; a first line without any number is a header.
 
     Raises ValueError for a text that is known to be of another format.
@@ -174,9 +174,9 @@ def split_lines(text: str, name: str) -> Lines:
         words = split_words(line.lstrip("#") if line.startswith("#") else line)
         if words:
             if all(map(_is_name, words)):
-                return Lines(name, (number, words), lines[number:], number + 1)
+                return TextLines(name, (number, words), lines[number:], number + 1)
             break
-    return Lines(name, None, lines, 1)
+    return TextLines(name, None, lines, 1)
 
 
 def split_words(line: str) -> list[str]:

@@ -81,7 +81,7 @@ class BackgroundParameters(BlobParameters):
 
 
 @dataclass(frozen=True)
-class Background:
+class _Background:
     """A picture of what is usual, learnt while it runs.
 
     State: ``weights`` (H, W, K), ``means`` (H, W, K, 3), ``variances`` (H, W, K) float32 of the mixtures, the
@@ -179,7 +179,7 @@ def _make(parameters: BackgroundParameters) -> Detector:
 
     from bayesnet_track.vision.kernels import color_kernels  # noqa: F401
 
-    return Background(parameters)
+    return _Background(parameters)
 
 
 DETECTOR = DetectorDeclaration(

@@ -107,7 +107,7 @@ class ColorBackprojection:
         if not (frame.has_color and self.knows_target(state)):
             return NOTHING, state
         cells = self._cells(frames, Region(0, 0, frame.width, frame.height))
-        evidence = back_projection(state["shares"], shares_of(cells, settings.bins))[cells]
+        evidence = _back_projection(state["shares"], _shares_of(cells, settings.bins))[cells]
         if settings.smooth_px > 0:
             side = 2 * settings.smooth_px + 1
             evidence = cv2.blur(evidence, (side, side))
@@ -115,20 +115,20 @@ class ColorBackprojection:
         return select(boxes, scores, frame, settings), state
 
     def _shares(self, frames: FramePair, region: Region) -> Floats:
-        return shares_of(self._cells(frames, region), self.parameters.bins)
+        return _shares_of(self._cells(frames, region), self.parameters.bins)
 
     def _cells(self, frames: FramePair, region: Region) -> NDArray[np.uint8]:
         plane = HueBins(self.parameters.bins, self.parameters.min_chroma)
         return PlaneCache(frames).planes([plane], region)[plane]
 
 
-def shares_of(cells: NDArray[np.uint8], bins: int) -> Floats:
+def _shares_of(cells: NDArray[np.uint8], bins: int) -> Floats:
     """(bins + 1,) share of the pixels in each bin, without hue last; all 0 of no pixels."""
     counts = np.bincount(cells.ravel(), minlength=bins + 1)
     return counts / max(cells.size, 1)
 
 
-def back_projection(target: Floats, frame: Floats) -> NDArray[np.uint8]:
+def _back_projection(target: Floats, frame: Floats) -> NDArray[np.uint8]:
     """(bins + 1,) evidence max(0, q - b) / (q + b + RARE) of each bin, 0 .. `SURE`; 0 without hue.
 
     q is the bin's share of the target, b its share of the whole frame.

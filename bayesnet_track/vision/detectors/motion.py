@@ -34,7 +34,7 @@ ROUNDS = 8
 """Rounds of the robust fit."""
 
 
-class MotionParameters(BlobParameters):
+class MotionDetectorParameters(BlobParameters):
     """Parameters of the motion segmentation."""
 
     min_speed_px: float = Field(
@@ -82,7 +82,7 @@ class Moved:
 class MotionDetector:
     """Compares the current frame with the one before; no state."""
 
-    parameters: MotionParameters
+    parameters: MotionDetectorParameters
 
     def start(self) -> DetectorState:
         """Nothing to remember: the previous frame comes with the current one."""
@@ -95,7 +95,7 @@ class MotionDetector:
             return NOTHING, state
         if min(frame.width, frame.height) < LEAST_SIDE:
             return NOTHING, state
-        motion = moving(gray(frame.image), gray(previous.image), frame.time - previous.time, settings)
+        motion = _moving(gray(frame.image), gray(previous.image), frame.time - previous.time, settings)
         components = regions((motion.evidence > 0).astype(np.uint8), settings)
         tight = [
             _tighten(motion, components.numbers, int(number), corner)
@@ -105,7 +105,7 @@ class MotionDetector:
         return select(rows[:, :4], rows[:, 4], frame, settings), state
 
 
-def moving(current: Bytes, previous: Bytes, interval: float, settings: MotionParameters) -> Moved:
+def _moving(current: Bytes, previous: Bytes, interval: float, settings: MotionDetectorParameters) -> Moved:
     """Mask of what moves between two gray images (H, W), `interval` frame intervals apart."""
     import cv2
 
@@ -188,7 +188,7 @@ def _affine(flow: NDArray[np.float32]) -> Floats:
     return np.asarray(fitted / scales[:, None])
 
 
-def _make(parameters: MotionParameters) -> Detector:
+def _make(parameters: MotionDetectorParameters) -> Detector:
     import cv2  # noqa: F401  load before the first frame
 
     return MotionDetector(parameters)
@@ -197,7 +197,7 @@ def _make(parameters: MotionParameters) -> Detector:
 DETECTOR = DetectorDeclaration(
     name="motion",
     summary="Regions that move against the rest of the image.",
-    parameters=MotionParameters,
+    parameters=MotionDetectorParameters,
     make=_make,
     cost_ms=27.0,
 )

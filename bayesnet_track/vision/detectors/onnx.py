@@ -31,7 +31,7 @@ class LayoutError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class NetworkOutput:
     """A network's output.
 
     Attributes:
@@ -47,18 +47,18 @@ class Found:
     distinguished: int | None = None
 
 
-def rows(output: Floats) -> Found:
+def rows(output: Floats) -> NetworkOutput:
     """(N, 5) x, y, w, h, score."""
     table = _table(output, 5, 5, "rows of x, y, w, h, score")
-    return Found(table[:, :4], table[:, 4], np.full(len(table), -1))
+    return NetworkOutput(table[:, :4], table[:, 4], np.full(len(table), -1))
 
 
-def yolo(output: Floats) -> Found:
+def yolo(output: Floats) -> NetworkOutput:
     """(N, 4 + C) x, y, w, h and the score of each class, or its transpose."""
     return _best_class(_table(output, 5, None, "rows of x, y, w, h and a score for each class"))
 
 
-def yolo_objectness(output: Floats) -> Found:
+def yolo_objectness(output: Floats) -> NetworkOutput:
     """(N, 5 + C) x, y, w, h, score of any object, and that of each class given an object."""
     table = _table(output, 6, None, "rows of x, y, w, h, objectness and a score for each class")
     return _best_class(np.concatenate([table[:, :4], table[:, 5:] * table[:, 4:5]], axis=1))
@@ -68,7 +68,7 @@ STRIDES = (8, 16, 32)
 """Pixels of the input between the cells of each of YOLOX's grids, in the order of its rows."""
 
 
-def from_grids(raw: Found, width: int, height: int) -> Found:
+def from_grids(raw: NetworkOutput, width: int, height: int) -> NetworkOutput:
     """Boxes of YOLOX in pixels of the input: given from their cell, in cells, the sides as logarithms.
 
     Raises:
@@ -90,21 +90,21 @@ def from_grids(raw: Found, width: int, height: int) -> Found:
     return replace(raw, boxes=boxes)
 
 
-def yolo_end_to_end(output: Floats) -> Found:
+def yolo_end_to_end(output: Floats) -> NetworkOutput:
     """(N, 6) x0, y0, x1, y1, score, class: what is left after the network's own suppression."""
     table = _table(output, 6, 6, "rows of x0, y0, x1, y1, score, class")
     table = table[np.isfinite(table).all(axis=1)]
-    return Found(_centred(table[:, :4]), table[:, 4], table[:, 5].astype(np.int64))
+    return NetworkOutput(_centred(table[:, :4]), table[:, 4], table[:, 5].astype(np.int64))
 
 
-def ssd(output: Floats) -> Found:
+def ssd(output: Floats) -> NetworkOutput:
     """(N, 7) image, class, score, x0, y0, x1, y1; rows of another image than 0 are left out."""
     table = _table(output, 7, 7, "rows of image, class, score, x0, y0, x1, y1")
     table = table[np.isfinite(table).all(axis=1) & (table[:, 0] == 0)]
-    return Found(_centred(table[:, 3:]), table[:, 2], table[:, 1].astype(np.int64))
+    return NetworkOutput(_centred(table[:, 3:]), table[:, 2], table[:, 1].astype(np.int64))
 
 
-LAYOUTS: Mapping[str, Callable[[Floats], Found]] = MappingProxyType(
+LAYOUTS: Mapping[str, Callable[[Floats], NetworkOutput]] = MappingProxyType(
     {
         "rows": rows,
         "yolo": yolo,
@@ -116,7 +116,7 @@ LAYOUTS: Mapping[str, Callable[[Floats], Found]] = MappingProxyType(
 )
 
 
-def fitting(outputs: Sequence[Floats], layout: str) -> Found:
+def fitting(outputs: Sequence[Floats], layout: str) -> NetworkOutput:
     """Detections of the one output that is of the layout; raises LayoutError where none or several are."""
     readings, refused = [], []
     for output in outputs:
@@ -134,10 +134,10 @@ def fitting(outputs: Sequence[Floats], layout: str) -> Found:
     )
 
 
-def _best_class(table: Floats) -> Found:
+def _best_class(table: Floats) -> NetworkOutput:
     classes = table[:, 4:].argmax(axis=1)
     scores = table[np.arange(len(table)), 4 + classes]
-    return Found(table[:, :4], scores, classes.astype(np.int64), table.shape[1] - 4)
+    return NetworkOutput(table[:, :4], scores, classes.astype(np.int64), table.shape[1] - 4)
 
 
 def _centred(corners: Floats) -> Floats:
@@ -273,7 +273,7 @@ class Onnx:
                 numbers = "" if classes is None else f"; numbers 0 to {classes - 1}"
                 raise DetectorError(f"`keep` has {label!r}; names of classes: {class_names[:300]}{numbers}")
 
-    def _read_outputs(self, outputs: Any) -> Found:
+    def _read_outputs(self, outputs: Any) -> NetworkOutput:
         settings = self.parameters
         try:
             arrays = [np.asarray(output, dtype=np.float64) for output in outputs]

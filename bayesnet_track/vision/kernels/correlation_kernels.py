@@ -261,7 +261,7 @@ def conjugate_product(patches: Singles, waves: Singles, total: Singles) -> None:
 
 
 @compiled
-def read_answers(
+def add_answers(
     maps: Singles,
     lowest: int,
     boxes: Floats,

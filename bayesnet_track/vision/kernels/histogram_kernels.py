@@ -52,7 +52,7 @@ def count_by_integral(binned: Bins, corners: Corners, bins: int) -> Counts:
     bits = 16 if int(pixels.max(initial=0)) < 2**16 else 32
     counts: Counts = np.zeros((len(corners), bins), np.int32)
     present = occurring(binned, bins)
-    gather(present, integrate(binned, present, bits), corners, bits, counts)
+    _gather(present, integrate(binned, present, bits), corners, bits, counts)
     return counts
 
 
@@ -122,7 +122,7 @@ def integrate(binned: Bins, present: Ints, bits: int) -> Words:
 
 
 @compiled
-def gather(present: Ints, integral: Words, corners: Corners, bits: int, counts: Counts) -> None:
+def _gather(present: Ints, integral: Words, corners: Corners, bits: int, counts: Counts) -> None:
     """Fill in the bins of the boxes that are `present`, from their integral histogram, in counts (N, B)."""
     lanes, mask = 64 // bits, (np.uint64(1) << np.uint64(bits)) - np.uint64(1)
     for n in range(corners.shape[0]):
@@ -279,7 +279,7 @@ def count_of_each(binned: Bins, crops: Ints, corners: Ints, firsts: Ints, bins: 
             for k in range(4):
                 shifted[n, k] = 0 if empty else boxes[n, k] - (x0 if k % 2 == 0 else y0)
         present = occurring(crop, bins)
-        gather(present, integrate(crop, present, 16), shifted, 16, counted)
+        _gather(present, integrate(crop, present, 16), shifted, 16, counted)
     return counts
 
 

@@ -297,7 +297,7 @@ def kernel_histogram(cells: Cells, x: float, y: float, rx: float, ry: float, bin
 
 
 @compiled
-def bhattacharyya(cells: Cells, model: Floats, x: float, y: float, rx: float, ry: float) -> float:
+def bhattacharyya_at(cells: Cells, model: Floats, x: float, y: float, rx: float, ry: float) -> float:
     """rho = sum over cells of sqrt(p q), p the histogram at a place and q the model (chapter, 3.87)."""
     histogram = kernel_histogram(cells, x, y, rx, ry, len(model))
     rho = 0.0
@@ -321,7 +321,7 @@ def shift(
     rx, ry = max(rx, 1.0), max(ry, 1.0)
     steps = 0
     weights = np.zeros(len(model))
-    rho = bhattacharyya(cells, model, x, y, rx, ry)
+    rho = bhattacharyya_at(cells, model, x, y, rx, ry)
     for _ in range(max_steps):
         histogram = kernel_histogram(cells, x, y, rx, ry, len(model))
         for u in range(len(model)):
@@ -339,10 +339,10 @@ def shift(
             break
         steps += 1
         dx, dy = dx / total, dy / total
-        next_rho = bhattacharyya(cells, model, x + dx, y + dy, rx, ry)
+        next_rho = bhattacharyya_at(cells, model, x + dx, y + dy, rx, ry)
         while next_rho < rho and dx**2 + dy**2 >= tolerance**2:
             dx, dy = dx / 2, dy / 2
-            next_rho = bhattacharyya(cells, model, x + dx, y + dy, rx, ry)
+            next_rho = bhattacharyya_at(cells, model, x + dx, y + dy, rx, ry)
         if next_rho < rho:
             break
         x, y, rho = x + dx, y + dy, next_rho

@@ -80,7 +80,7 @@ def corner_sums(
 
 
 @compiled
-def cell_means(
+def _cell_means(
     sums: Floats, x_units: Ints, y_units: Ints, x_spans: Ints, y_spans: Ints, means: Floats, shares: Floats
 ) -> None:
     """Fill `means` and `shares` (G, G) of one box from the sums at its edges' crossings."""
@@ -116,7 +116,7 @@ def patch_means(
         split_edges(x_units, integral.shape[1] - 1, columns, column_parts)
         split_edges(y_units, integral.shape[0] - 1, rows, row_parts)
         corner_sums(integral.ravel(), integral.shape[1], rows, row_parts, columns, column_parts, sums)
-        cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
+        _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
 
 
 @compiled_summing
@@ -198,7 +198,7 @@ def patch_moments(
                     row[i] = total * (scale * per_length[i])
             sv, srv, svv = _weighted_sums(values, flat_weights, weighted_reference)
         else:
-            cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
+            _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
             for j in range(cells):
                 for i in range(cells):
                     w, r, v = weights[j, i] * shares[j, i], reference[j, i], means[j, i]
@@ -252,7 +252,7 @@ def patch_projections(
         split_edges(x_units, stride - 1, columns, column_parts)
         split_edges(y_units, tall - 1, rows, row_parts)
         corner_sums(flat, stride, rows, row_parts, columns, column_parts, sums)
-        cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
+        _cell_means(sums, x_units, y_units, x_spans, y_spans, means, shares)
         visible_weight, total = 0.0, 0.0
         for j in range(cells):
             for i in range(cells):

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bayesnet_track.graph.expressions.parse import latex_of, parse, text_of
+from bayesnet_track.graph.expressions.parse import latex_of, parse, term_text
 
 
 @given(data=st.data())
 @settings(max_examples=100, deadline=None)
 def test_what_is_written_reads_as_the_same_expression(terms, data):
     term = data.draw(terms)
-    assert parse(text_of(term)) == term
+    assert parse(term_text(term)) == term
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from bayesnet_track.runtime.annotation.answers import (
     in_force,
     read_answer,
 )
-from bayesnet_track.runtime.annotation.asking import Asking, BoxMark, TrackedBox, annotate, fuse, iou
+from bayesnet_track.runtime.annotation.asking import Asking, BoxMark, TrackedBox, annotate_video, fuse, iou
 from bayesnet_track.runtime.annotation.session import by_target
 
 START = (10.0, 10.0, 20.0, 20.0)
@@ -46,7 +46,7 @@ def box(frame, target="ball 1"):
 
 
 def test_it_runs_ahead_to_the_first_doubtful_frame_and_says_why():
-    done = annotate(answered(box(0)), MadeUp(good=7), 100, Asking(0.5, 1))
+    done = annotate_video(answered(box(0)), MadeUp(good=7), 100, Asking(0.5, 1))
     (question,) = done.questions
     assert (question.target, question.frame) == ("ball 1", 8)
     assert "0.20 < 0.50" in question.reason and "8 frames after" in question.reason
@@ -57,12 +57,12 @@ def test_it_runs_ahead_to_the_first_doubtful_frame_and_says_why():
 
 def test_patience_waits_for_doubt_that_stays_and_asks_at_the_end_of_the_video():
     runs = MadeUp(good=7)
-    assert annotate(answered(box(0)), runs, 100, Asking(0.5, 4)).questions[0].frame == 11
-    assert annotate(answered(box(0)), runs, 10, Asking(0.5, 4)).questions[0].frame == 9
+    assert annotate_video(answered(box(0)), runs, 100, Asking(0.5, 4)).questions[0].frame == 11
+    assert annotate_video(answered(box(0)), runs, 10, Asking(0.5, 4)).questions[0].frame == 9
 
 
 def test_a_box_is_explained_backward_so_that_nobody_is_asked_about_what_lies_between():
-    done = annotate(answered(box(0), box(12)), MadeUp(good=7), 13, Asking(0.5))
+    done = annotate_video(answered(box(0), box(12)), MadeUp(good=7), 13, Asking(0.5))
     assert done.questions == ()
     marks = done.marks["ball 1"]
     assert all(iou(marks[n].box, true_box(n)) > 0.99 for n in range(13))
@@ -71,31 +71,31 @@ def test_a_box_is_explained_backward_so_that_nobody_is_asked_about_what_lies_bet
 
 def test_the_last_frame_is_asked_about_since_only_a_run_back_from_it_shows_a_sure_run_that_is_wrong():
     runs = MadeUp(good=7, unsure=0.95)  # it never doubts
-    asked = annotate(answered(box(0)), runs, 21, Asking(0.8)).questions
+    asked = annotate_video(answered(box(0)), runs, 21, Asking(0.8)).questions
     assert [one.frame for one in asked] == [20] and "the last frame" in asked[0].reason
-    between = annotate(answered(box(0), box(20)), runs, 21, Asking(0.8))
+    between = annotate_video(answered(box(0), box(20)), runs, 21, Asking(0.8))
     assert len(between.questions) == 1, "the two runs differ: one of them is wrong"
-    assert annotate(answered(box(0)), runs, 1, Asking(0.8)).questions == ()
+    assert annotate_video(answered(box(0)), runs, 1, Asking(0.8)).questions == ()
 
 
 def test_a_gap_that_neither_run_bridges_is_asked_about_in_its_middle():
-    done = annotate(answered(box(0), box(40)), MadeUp(good=7, unsure=0.05), 41, Asking(0.5))
+    done = annotate_video(answered(box(0), box(40)), MadeUp(good=7, unsure=0.05), 41, Asking(0.5))
     (question,) = done.questions
     assert question.frame == 20
     assert "frame 0" in question.reason and "frame 40" in question.reason
 
 
 def test_what_is_gone_is_gone_until_a_box_says_otherwise():
-    done = annotate(answered(box(0), Answer("gone", 3, "ball 1"), box(6)), MadeUp(good=50), 9)
+    done = annotate_video(answered(box(0), Answer("gone", 3, "ball 1"), box(6)), MadeUp(good=50), 9)
     hows = [done.marks["ball 1"][n].how for n in range(9)]
     assert hows == ["given", "tracked", "tracked", "gone", "gone", "gone", "given", "tracked", "tracked"]
     assert done.marks["ball 1"][4].box is None
-    last = annotate(answered(box(0), Answer("gone", 3, "ball 1")), MadeUp(good=50), 5)
+    last = annotate_video(answered(box(0), Answer("gone", 3, "ball 1")), MadeUp(good=50), 5)
     assert [last.marks["ball 1"][n].how for n in (3, 4)] == ["gone", "gone"] and last.questions == ()
 
 
 def test_several_targets_are_asked_about_one_by_one():
-    done = annotate(answered(box(0), box(3, "ball 2")), MadeUp(good=7), 100, Asking(0.5, 1))
+    done = annotate_video(answered(box(0), box(3, "ball 2")), MadeUp(good=7), 100, Asking(0.5, 1))
     assert [(one.target, one.frame) for one in done.questions] == [("ball 1", 8), ("ball 2", 11)]
 
 

@@ -12,15 +12,15 @@ from bayesnet_track.runtime.annotation.formats.reading import (
     MismatchError,
     annotations_in,
     ellipse_box,
-    identity,
+    identity_text,
     mask_box,
     number,
     turned_box,
-    unpacked,
-    whole,
+    unpacked_folder,
+    whole_value,
 )
 from bayesnet_track.runtime.annotation.formats.rows import NO_FRAME, frames_of_names
-from bayesnet_track.runtime.annotation.formats.yolo import boxes_of, parse_line
+from bayesnet_track.runtime.annotation.formats.yolo import boxes_of_lines, parse_line
 from bayesnet_track.runtime.annotation.frame_store import Video
 
 VIDEO = Video("clip.mp4", 12, 160, 120, 0.04)
@@ -140,11 +140,11 @@ def test_others_show_where_numbers_begin_if_they_are_named_alike():
 
 def test_numbers_of_files():
     assert [number(value, "x", "") for value in (1, "2.5", 10**400)] == [1, 2.5, math.inf]
-    assert [whole(value, "x", "") for value in (1, "2", 3.0)] == [1, 2, 3]
-    assert [identity(value, "x", "") for value in (2**63 - 1, "7", 7.0)] == [str(2**63 - 1), "7", "7"]
+    assert [whole_value(value, "x", "") for value in (1, "2", 3.0)] == [1, 2, 3]
+    assert [identity_text(value, "x", "") for value in (2**63 - 1, "7", 7.0)] == [str(2**63 - 1), "7", "7"]
     for value in (True, None, [], {}, "a", math.nan):
         with pytest.raises(MismatchError, match="number is needed"):
-            whole(value, "x", "")
+            whole_value(value, "x", "")
 
 
 def test_a_damaged_zip_and_one_with_a_way_out_are_harmless(tmp_path):
@@ -152,7 +152,7 @@ def test_a_damaged_zip_and_one_with_a_way_out_are_harmless(tmp_path):
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("../../escaped.txt", "x" * 5000)
         archive.writestr("gt/gt.txt", "y")
-    with unpacked(path) as folder:
+    with unpacked_folder(path) as folder:
         assert annotations_in(folder) == folder / "gt" / "gt.txt"
         assert not (tmp_path / "escaped.txt").exists()
         inside = [file for file in folder.rglob("*") if file.is_file()]
@@ -165,7 +165,7 @@ def test_a_damaged_zip_and_one_with_a_way_out_are_harmless(tmp_path):
         broken[generator.randrange(len(data))] ^= 1 << generator.randrange(8)
         path.write_bytes(broken)
         try:
-            with unpacked(path):
+            with unpacked_folder(path):
                 pass
         except MismatchError as error:
             assert "unzip it" in str(error)
@@ -197,7 +197,7 @@ def test_the_annotations_of_a_folder(names, found, tmp_path):
 def test_lines_of_as_many_numbers_are_read_alike():
     texts = ["0 .5 .5 .2 .2 0.9 4", "0 .5 .5 .2 .2 1 5", "1 .4 .4 .6 .4 .6 .6 .4 .6 0.5 4", "1 .5 .5 .2 .2"]
     lines = [parse_line(text, f"a:{n}", "x") for n, text in enumerate(texts)]
-    found = boxes_of(lines, None, Path("x"))
+    found = boxes_of_lines(lines, None, Path("x"))
     assert [one.identity for one in found] == [4, 5, 4, None]
     for one in found:
         assert one.box(VIDEO) == pytest.approx((64, 48, 32, 24))

@@ -18,7 +18,7 @@ from bayesnet_track.observation.cue import (
     installed_cues,
 )
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.runtime.executors.frames import FrameStore, FrameView
+from bayesnet_track.runtime.executors.frames import FrameRing, FrameView
 from bayesnet_track.runtime.executors.messages import LEAST_BYTES, EncodedReference, Sent
 from bayesnet_track.runtime.executors.placing import make_proxy as place
 from bayesnet_track.runtime.executors.processes import SentFrames
@@ -31,7 +31,7 @@ class Across:
     """A desk whose agents are here, with all that passes made into bytes and back."""
 
     def __init__(self, agent, make, parameters, is_limited=False):
-        self.store = FrameStore()
+        self.store = FrameRing()
         view = FrameView(self.store.descriptor)
         self.host = AgentHost(view.get, is_limited)
         self.host.assign(agent, make, parameters)
@@ -118,7 +118,7 @@ def test_frames_and_depth_cross_whole_whatever_their_size():
     from bayesnet_track.observation.planes import PointMap, RightEye, StereoGeometry
 
     rng = np.random.default_rng(1)
-    store = FrameStore()
+    store = FrameRing()
     view = FrameView(store.descriptor)
     for n, (height, width) in enumerate(
         [(20, 30), (20, 30), (40, 31), (10, 10), (40, 31), (80, 90), (20, 30)]

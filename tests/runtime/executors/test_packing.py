@@ -5,14 +5,14 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bayesnet_track.runtime.executors.worker_pool import busiest, pack, repack
+from bayesnet_track.runtime.executors.worker_pool import busiest, repack, spread_agents
 
 costs = st.dictionaries(st.text("abcdef", min_size=1, max_size=3), st.floats(0.001, 1.0), max_size=8)
 
 
 @given(costs, st.integers(1, 4))
 def test_everyone_is_in_one_place_and_nobody_waits_for_more_than_the_bound_of_the_rule(costs, workers):
-    packing = pack(costs, workers)
+    packing = spread_agents(costs, workers)
     assert sorted(agent for own in packing for agent in own) == sorted(costs)
     # Graham: the longest processing time first is at most 4/3 of the best, which is at least this.
     least = max([sum(costs.values()) / workers, *costs.values()])

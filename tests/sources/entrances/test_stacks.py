@@ -175,7 +175,7 @@ def test_names_with_the_time_of_day_are_one_sequence(tmp_path):
 
 def test_numbers_that_meet_by_chance_are_no_second_sequence():
     names = [f"a{number}.png" for number in range(1, 11)] + [f"b{number}.png" for number in range(10, 21)]
-    assert images.overlapping([Path(name) for name in names]) == {}
+    assert images.overlapping_sequences([Path(name) for name in names]) == {}
 
 
 def test_names_that_go_on_with_another_text_are_one_sequence(tmp_path, recwarn):

@@ -77,7 +77,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "cli.batch.places._memory",
             "cli.commands.graphs.init",
             "cli.doctor.check_package",
-            "cli.doctor.installed",
+            "cli.doctor._installed",
             "runtime.executors.worker.own_bytes",
             "view.run_page._built",
         ),

@@ -14,14 +14,14 @@ from bayesnet_track.runtime.annotation.formats.reading import (
     Document,
     MismatchError,
     box_around,
-    check_size,
+    check_frame_size,
     ellipse_box,
     label_of,
     number,
     pairs,
     read_xml,
     turned_box,
-    whole,
+    whole_value,
 )
 from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of, frames_of_names
 from bayesnet_track.runtime.annotation.frame_store import Video
@@ -173,19 +173,19 @@ def _check_meta(root: Tree.Element, task_id: str | None, video: Video, path: Pat
     ]:
         size = job.find("original_size")
         if size is not None:
-            w, h = (whole(size.findtext(side), side, f"{path}, meta") for side in ("width", "height"))
-            check_size(w, h, video, f"{path}, meta, original_size")
+            w, h = (whole_value(size.findtext(side), side, f"{path}, meta") for side in ("width", "height"))
+            check_frame_size(w, h, video, f"{path}, meta, original_size")
         if job.findtext("size") is not None:
             task = _numbered(job, video, f"{path}, meta")
     return task
 
 
 def _numbered(job: Tree.Element, video: Video, place: str) -> Task:
-    size = whole(job.findtext("size"), "size", place)
-    first = whole(job.findtext("start_frame") or "0", "start_frame", place)
+    size = whole_value(job.findtext("size"), "size", place)
+    first = whole_value(job.findtext("start_frame") or "0", "start_frame", place)
     frame_filter = "".join((job.findtext("frame_filter") or "").split())
-    step = whole(frame_filter.removeprefix("step="), "frame_filter", place) if frame_filter else 1
-    stop = whole(job.findtext("stop_frame") or str(first + (size - 1) * step), "stop_frame", place)
+    step = whole_value(frame_filter.removeprefix("step="), "frame_filter", place) if frame_filter else 1
+    stop = whole_value(job.findtext("stop_frame") or str(first + (size - 1) * step), "stop_frame", place)
     if step < 1 or first < 0:
         raise MismatchError(f"{place}: frames from {first} in steps of {step}")
     if (first, step) == (0, 1) and size == video.frames:
@@ -207,7 +207,9 @@ def _track_rows(tracks: Sequence[Tree.Element], task: Task, video: Video, path: 
         shapes = [element for element in track if element.tag in SHAPES]
         unknown.update(element.tag for element in track if element.tag not in SHAPES)
         is_gone, count = True, 0
-        numbered = ((whole(element.get("frame"), "frame", f"{path}, {place}"), element) for element in shapes)
+        numbered = (
+            (whole_value(element.get("frame"), "frame", f"{path}, {place}"), element) for element in shapes
+        )
         for index, element in sorted(numbered, key=lambda pair: pair[0]):
             position = f"{place}, frame {index}"
             frame = task.frame(index, f"{path}, {place}")
@@ -251,8 +253,10 @@ def _image_rows(root: Tree.Element, video: Video, images: Sequence[str], path: P
     unknown = Counter[str]()
     for image, name in zip(elements, names, strict=True):
         if image.get("width") is not None:
-            w, h = (whole(image.get(side), side, f"{path}, image {name}") for side in ("width", "height"))
-            check_size(w, h, video, f"{path}, image {name}")
+            w, h = (
+                whole_value(image.get(side), side, f"{path}, image {name}") for side in ("width", "height")
+            )
+            check_frame_size(w, h, video, f"{path}, image {name}")
         for n, element in enumerate(image):
             if element.tag not in SHAPES:
                 unknown[element.tag] += 1

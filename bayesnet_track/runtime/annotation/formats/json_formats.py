@@ -15,19 +15,19 @@ from bayesnet_track.runtime.annotation.formats.reading import (
     Document,
     MismatchError,
     box_around,
-    check_size,
+    check_frame_size,
     corner_box,
-    identity,
+    identity_text,
     label_of,
-    listed,
+    list_at,
     mask_box,
     needed,
     number,
     pairs,
     read_json,
-    tidy,
+    rounded,
     turned_box,
-    whole,
+    whole_value,
 )
 from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of, first_of_numbers, frames_of_names
 from bayesnet_track.runtime.annotation.frame_store import Video
@@ -43,7 +43,7 @@ IDENTITIES = (
 """Object in the annotation (None: itself) and key of the identity, as tools write it; the first is taken."""
 
 
-def as_coco(document: Document) -> bytes:
+def annotations_as_coco(document: Document) -> bytes:
     """The text. Where a box comes from is in its `attributes`; frames without a target are in `tracks`."""
     video, labels = document.video, document.labels
     annotations = [
@@ -52,11 +52,11 @@ def as_coco(document: Document) -> bytes:
             "image_id": mark.frame + 1,
             "category_id": labels[label_of(target)],
             "track_id": number,
-            "bbox": [tidy(value) for value in box],
-            "area": tidy(box[2] * box[3]),
+            "bbox": [rounded(value) for value in box],
+            "area": rounded(box[2] * box[3]),
             "iscrowd": 0,
-            "score": tidy(mark.probability, 6),
-            "attributes": {"how": mark.how, "probability": tidy(mark.probability, 6)},
+            "score": rounded(mark.probability, 6),
+            "attributes": {"how": mark.how, "probability": rounded(mark.probability, 6)},
         }
         for row, (number, target, mark, box) in enumerate(document.boxes(), 1)
     ]
@@ -100,26 +100,28 @@ def read_coco(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
         OSError: it cannot be read.
     """
     content = needed(read_json(path), ("images", "annotations"), str(path))
-    frame_of = _frames(listed(content["images"], f"{path}, images"), video, images, path)
+    frame_of = _frames(list_at(content["images"], f"{path}, images"), video, images, path)
     labels = {}
-    for n, entry in enumerate(listed(content.get("categories", []), f"{path}, categories")):
+    for n, entry in enumerate(list_at(content.get("categories", []), f"{path}, categories")):
         place = f"{path}, categories[{n}]"
         category = needed(entry, ("id", "name"), place)
-        labels[identity(category["id"], "id", place)] = str(category["name"])
-    annotations = listed(content["annotations"], f"{path}, annotations")
+        labels[identity_text(category["id"], "id", place)] = str(category["name"])
+    annotations = list_at(content["annotations"], f"{path}, annotations")
     rows = list(
         _rows(
             [needed(*_placed(path, n, entry)) for n, entry in enumerate(annotations)], frame_of, labels, path
         )
     )
     names: dict[Hashable, str] = {}
-    for n, entry in enumerate(listed(content.get("tracks", []), f"{path}, tracks")):
+    for n, entry in enumerate(list_at(content.get("tracks", []), f"{path}, tracks")):
         place = f"{path}, tracks[{n}]"
         track = needed(entry, ("id",), place)
-        key = identity(track["id"], "id", place)
+        key = identity_text(track["id"], "id", place)
         if "name" in track:
             names[key] = str(track["name"])
-        frames = {whole(frame, "gone", place) for frame in listed(track.get("gone", []), f"{place}, gone")}
+        frames = {
+            whole_value(frame, "gone", place) for frame in list_at(track.get("gone", []), f"{place}, gone")
+        }
         starts = sorted(frame for frame in frames if frame - 1 not in frames)
         rows += [Row(f"tracks[{n}]", frame, key, "", None) for frame in starts]
     return answers_of(rows, video, path, names)
@@ -134,18 +136,19 @@ def _frames(entries: list[Any], video: Video, images: Sequence[str], path: Path)
     records = [needed(entry, ("id",), f"{path}, images[{n}]") for n, entry in enumerate(entries)]
     for n, record in enumerate(records):
         if record.get("width") is not None and record.get("height") is not None:
-            check_size(record["width"], record["height"], video, f"{path}, images[{n}]")
+            check_frame_size(record["width"], record["height"], video, f"{path}, images[{n}]")
     videos = {
-        identity(record["video_id"], "video_id", str(path)) for record in records if "video_id" in record
+        identity_text(record["video_id"], "video_id", str(path)) for record in records if "video_id" in record
     }
     if len(videos) > 1:
         raise MismatchError(f"{path}: images of {len(videos)} videos; those of one are needed")
-    ids = [identity(record["id"], "id", f"{path}, images[{n}]") for n, record in enumerate(records)]
+    ids = [identity_text(record["id"], "id", f"{path}, images[{n}]") for n, record in enumerate(records)]
     if len(set(ids)) < len(ids):
         raise MismatchError(f"{path}: two images have the same id")
     if records and all("frame_id" in record for record in records):
         numbers = [
-            whole(record["frame_id"], "frame_id", f"{path}, images[{n}]") for n, record in enumerate(records)
+            whole_value(record["frame_id"], "frame_id", f"{path}, images[{n}]")
+            for n, record in enumerate(records)
         ]
         first = first_of_numbers(numbers, video.frames)
         if first is None and all(key == str(value + 1) for key, value in zip(ids, numbers, strict=True)):
@@ -175,7 +178,7 @@ def _rows(
     box: Box | None
     for n, (annotation, key) in enumerate(zip(annotations, keys, strict=True)):
         place = f"{path}, annotations[{n}]"
-        image = identity(annotation["image_id"], "image_id", place)
+        image = identity_text(annotation["image_id"], "image_id", place)
         if image not in frame_of:
             raise MismatchError(f"{place}: image_id {annotation['image_id']!r} is none of its images")
         attributes = _attributes(annotation)
@@ -230,7 +233,7 @@ def _identities(annotations: Sequence[Mapping[str, Any]], path: Path) -> list[st
             f"{path}, annotations[{n}] (id {annotations[n].get('id')!r}): the key {name!r} is missing, which "
             f"says which target it is; keys that are looked for: {searched}"
         )
-    keys = [identity(value, name, f"{path}, annotations[{n}]") for n, value in enumerate(values)]
+    keys = [identity_text(value, name, f"{path}, annotations[{n}]") for n, value in enumerate(values)]
     for (second_holder, second_key), column in columns.items():
         if second_key != "id" and None not in column and _differ(keys, column):
             second_name = second_key if second_holder is None else f"{second_holder}.{second_key}"
@@ -263,14 +266,14 @@ def _box(annotation: Mapping[str, Any], place: str) -> tuple[Box, str]:
 def _segmented(segmentation: Any, place: str) -> tuple[Box, str]:
     try:
         if isinstance(segmentation, Mapping):
-            height = whole(listed(segmentation.get("size"), f"{place}, size")[0], "size", place)
+            height = whole_value(list_at(segmentation.get("size"), f"{place}, size")[0], "size", place)
             counts = segmentation.get("counts")
             if not isinstance(counts, str | list):
                 raise ValueError("counts are missing")
             return mask_box(counts, height), "mask"
-        polygons = listed(segmentation, f"{place}, segmentation")
+        polygons = list_at(segmentation, f"{place}, segmentation")
         values = [
-            pairs(number(value, "segmentation", place) for value in listed(polygon, place))
+            pairs(number(value, "segmentation", place) for value in list_at(polygon, place))
             for polygon in polygons
         ]
         return box_around([point for polygon in values for point in polygon]), "polygon"
@@ -293,7 +296,7 @@ def as_label_studio(document: Document) -> bytes:
             "meta": {"text": [target], "given": [f + 1 for f in sorted(boxes) if boxes[f].how == "given"]},
             "value": {
                 "framesCount": video.frames,
-                "duration": tidy(video.frames * video.frame_interval_s, 6),
+                "duration": rounded(video.frames * video.frame_interval_s, 6),
                 "sequence": [*_key_frames(boxes, video)],
                 "labels": [label_of(target)],
             },
@@ -314,14 +317,14 @@ def _key_frames(boxes: Mapping[int, BoxMark], video: Video) -> Iterator[dict[str
         following = boxes.get(frame + 1)
         yield {
             "frame": frame + 1,
-            "time": tidy(frame * video.frame_interval_s, 6),
+            "time": rounded(frame * video.frame_interval_s, 6),
             # The region ends behind a key frame that is not enabled.
             "enabled": following is not None and following.box is not None,
             "rotation": 0,
-            "x": tidy(100.0 * x / video.width, 6),
-            "y": tidy(100.0 * y / video.height, 6),
-            "width": tidy(100.0 * w / video.width, 6),
-            "height": tidy(100.0 * h / video.height, 6),
+            "x": rounded(100.0 * x / video.width, 6),
+            "y": rounded(100.0 * y / video.height, 6),
+            "width": rounded(100.0 * w / video.width, 6),
+            "height": rounded(100.0 * h / video.height, 6),
         }
 
 
@@ -343,9 +346,9 @@ def read_label_studio(path: Path, video: Video) -> list[Answer]:
         meta = result.get("meta")
         given_frames = meta.get("given") if isinstance(meta, Mapping) else None
         if given_frames is not None and isinstance(meta, Mapping) and meta.get("text"):
-            names[n] = str(listed(meta["text"], f"{path}, {place}, meta")[0])
+            names[n] = str(list_at(meta["text"], f"{path}, {place}, meta")[0])
         labels = value.get("labels") or value.get("rectanglelabels") or ["target"]
-        label = str(listed(labels, f"{path}, {place}, labels")[0])
+        label = str(list_at(labels, f"{path}, {place}, labels")[0])
         rows += _read_key_frames(value["sequence"], (n, label), video, place, path, given_frames)
     return answers_of(rows, video, path, names)
 
@@ -367,7 +370,7 @@ def _results(content: object, path: Path) -> list[Mapping[str, Any]]:
         return [{"value": value} for value in values]
     annotations = [
         needed(entry, ("result",), f"{path}, annotations[{n}]")
-        for n, entry in enumerate(listed(task["annotations"], f"{path}, annotations"))
+        for n, entry in enumerate(list_at(task["annotations"], f"{path}, annotations"))
     ]
     finished = [entry for entry in annotations if entry.get("was_cancelled") is not True]
     if len(finished) != 1:
@@ -376,7 +379,7 @@ def _results(content: object, path: Path) -> list[Mapping[str, Any]]:
             f"{path}: the task has {len(finished)} annotations"
             + (f" (id {ids}); leave the one that is meant" if finished else "")
         )
-    entries = listed(finished[0]["result"], f"{path}, result")
+    entries = list_at(finished[0]["result"], f"{path}, result")
     results = [needed(entry, ("type", "value"), f"{path}, result[{n}]") for n, entry in enumerate(entries)]
     other_kinds = Counter(str(entry["type"]) for entry in results if entry["type"] != "videorectangle")
     for kind, count in other_kinds.items():
@@ -398,9 +401,9 @@ def _read_key_frames(
     """
     key, label = target
     origin = f"{path}, {place}"
-    frames = [needed(key_frame, ("frame",), origin) for key_frame in listed(sequence, f"{origin}, sequence")]
+    frames = [needed(key_frame, ("frame",), origin) for key_frame in list_at(sequence, f"{origin}, sequence")]
     numbered = sorted(
-        ((whole(key_frame["frame"], "frame", origin) - 1, key_frame) for key_frame in frames),
+        ((whole_value(key_frame["frame"], "frame", origin) - 1, key_frame) for key_frame in frames),
         key=itemgetter(0),
     )
     for n, (frame, key_frame) in enumerate(numbered):
@@ -425,7 +428,7 @@ def _read_key_frames(
 
 def _check_frames(frames: object, video: Video, place: str) -> None:
     """Refuse another number of frames; one more or less comes of rounding. Raises MismatchError."""
-    count = whole(frames, "frames", place)
+    count = whole_value(frames, "frames", place)
     if abs(count - video.frames) > 1:
         raise MismatchError(
             f"{place}: {count} frames; the video has {video.frames}: `frameRate` of <Video> in the labelling "

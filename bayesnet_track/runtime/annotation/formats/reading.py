@@ -69,7 +69,7 @@ def label_of(target: str) -> str:
     return re.sub(r"[ _#-]*\d+$", "", target) or "target"
 
 
-def check_size(width: object, height: object, video: Video, place: str) -> None:
+def check_frame_size(width: object, height: object, video: Video, place: str) -> None:
     """Refuse frames of another size; raises MismatchError."""
     if (width, height) != (video.width, video.height):
         raise MismatchError(
@@ -77,7 +77,7 @@ def check_size(width: object, height: object, video: Video, place: str) -> None:
         )
 
 
-def tidy(value: float, digits: int = 3) -> float:
+def rounded(value: float, digits: int = 3) -> float:
     """Rounded, without a negative zero."""
     return round(value, digits) + 0.0
 
@@ -90,7 +90,7 @@ LISTS = frozenset({"classes", "labels", "train", "val", "valid", "validation", "
 
 
 @contextmanager
-def unpacked(path: Path) -> Iterator[Path]:
+def unpacked_folder(path: Path) -> Iterator[Path]:
     """The folder with the texts of a zip, which is gone afterwards; any other path as it is.
 
     Errors and notices name files below the zip.
@@ -176,7 +176,7 @@ def _has_labels(file: Path, folder: Path) -> bool:
     return not is_list and not is_junk(file.relative_to(folder)) and file.is_file()
 
 
-def text_of(file: Path) -> str:
+def text_of_file(file: Path) -> str:
     """A whole file as text; raises MismatchError where it is none."""
     try:
         return read_text(file)
@@ -239,7 +239,7 @@ def number(value: object, name: str, place: str) -> float:
         raise MismatchError(f"{place}: {name} {_shown(value)}; a number is needed") from error
 
 
-def whole(value: object, name: str, place: str) -> int:
+def whole_value(value: object, name: str, place: str) -> int:
     """A whole number below 10⁹, or a text of one; raises MismatchError."""
     parsed = number(value, name, place)
     if not (math.isfinite(parsed) and parsed.is_integer() and abs(parsed) <= LARGEST_FRAME):
@@ -255,7 +255,7 @@ def corner_box(values: object, name: str, place: str) -> Box:
     return x, y, w, h
 
 
-def identity(value: object, name: str, place: str) -> str:
+def identity_text(value: object, name: str, place: str) -> str:
     """An identity as text, exactly: a number is the same as its text. Raises MismatchError."""
     if isinstance(value, float) and value.is_integer() and abs(value) < 2**53:
         value = int(value)
@@ -274,7 +274,7 @@ def needed(value: object, keys: Iterable[str], place: str) -> Mapping[str, Any]:
     return value
 
 
-def listed(values: object, place: str) -> list[Any]:
+def list_at(values: object, place: str) -> list[Any]:
     """A list; raises MismatchError."""
     if not isinstance(values, list):
         raise MismatchError(f"{place}: {_shown(values)}; a list is needed")

@@ -23,8 +23,8 @@ from bayesnet_track.runtime.annotation.formats.reading import (
     label_files,
     label_of,
     pairs,
-    text_of,
-    whole,
+    text_of_file,
+    whole_value,
 )
 from bayesnet_track.runtime.annotation.formats.rows import Row, answers_of, frames_of_names
 from bayesnet_track.runtime.annotation.frame_store import Video
@@ -84,7 +84,7 @@ def parse_line(text: str, place: str, path: str) -> Line:
     return Line(place, int(index), tuple(words), values)
 
 
-def boxes_of(lines: Sequence[Line], keypoints: object, path: Path) -> list[Drawn]:
+def boxes_of_lines(lines: Sequence[Line], keypoints: object, path: Path) -> list[Drawn]:
     """Boxes that the lines draw; lines of as many numbers are read alike.
 
     `keypoints` is YOLO's `kpt_shape`, how many points of how many numbers stand behind each box, or None.
@@ -264,7 +264,7 @@ def read_yolo(path: Path, video: Video, images: Sequence[str] = ()) -> list[Answ
     frames = _frames(path, list(files), video, images)
     lines = []
     for name, file in files.items():
-        for n, line in enumerate(text_of(file).splitlines(), 1):
+        for n, line in enumerate(text_of_file(file).splitlines(), 1):
             if line.strip():
                 lines.append((frames[name], parse_line(line, f"{name}:{n}", str(path))))
     _say_late(path, set(frames.values()) - {frame for frame, _ in lines}, video)
@@ -276,7 +276,7 @@ def _frames(path: Path, names: Sequence[str], video: Video, images: Sequence[str
     listed = set[str]()
     for list_file in (path / f"{stem}.txt" for stem in sorted(LISTS - {"classes", "labels"})):
         if list_file.is_file():
-            listed |= {line.strip() for line in text_of(list_file).splitlines() if line.strip()}
+            listed |= {line.strip() for line in text_of_file(list_file).splitlines() if line.strip()}
     listed |= {file.name for file in (path / "images").rglob("*") if file.suffix.lower() in IMAGE_SUFFIXES}
     return frames_of_names(names, video, images, str(path), listed)
 
@@ -290,14 +290,14 @@ def _about(path: Path) -> Mapping[str, Any]:
             continue
         if file.suffix in (".yaml", ".yml"):
             return _about_of_yaml(file)
-        lines = text_of(file).rstrip().split("\n")
+        lines = text_of_file(file).rstrip().split("\n")
         return {"names": {n: line.strip() for n, line in enumerate(lines) if line.strip()}}
     return {"names": {}}
 
 
 def _about_of_yaml(file: Path) -> Mapping[str, Any]:
     try:
-        content = yaml.safe_load(text_of(file))
+        content = yaml.safe_load(text_of_file(file))
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise MismatchError(f"{file}: it is no YAML ({str(error).splitlines()[0]})") from error
     names = content.get("names") if isinstance(content, Mapping) else None
@@ -307,7 +307,7 @@ def _about_of_yaml(file: Path) -> Mapping[str, Any]:
         raise MismatchError(
             f"{file}: `names` of the classes are needed, a list of texts or numbers with texts"
         )
-    named = {whole(key, "class", str(file)): str(name) for key, name in names.items()}
+    named = {whole_value(key, "class", str(file)): str(name) for key, name in names.items()}
     return {"names": named, "kpt_shape": content.get("kpt_shape")}
 
 
@@ -315,7 +315,7 @@ def _rows(
     lines: Sequence[tuple[int, Line]], settings: Mapping[str, Any], video: Video, path: Path
 ) -> Iterator[Row]:
     names = settings["names"]
-    read = boxes_of([line for _, line in lines], settings.get("kpt_shape"), path)
+    read = boxes_of_lines([line for _, line in lines], settings.get("kpt_shape"), path)
     tracked = any(box.identity is not None for box in read)
     left = [box.line.place for box in read if tracked and box.identity is None]
     if left:
