@@ -143,8 +143,8 @@ def _by_ud(inputs: RuleInputs, memory: RuleMemory, rule: Lost, decisions: list[D
                 rule.fit_below, inputs.measures.fit, rule.frames, best_fit if best_fit >= 0.0 else None
             )
         if status == "tracking" and inputs.measures.fit >= rule.fit_below and not reason:
-            fitting = f"{inputs.measures.fit:.3g} of a perfect match ≥ fit_below {rule.fit_below:.3g}"
-            reason = f"the best hypothesis has a likelihood of {fitting}"
+            fitting = f"{inputs.measures.fit:.3g} (1: perfect) ≥ fit_below {rule.fit_below:.3g}"
+            reason = f"the best hypothesis has a fit of {fitting}"
         decisions.append(StatusChanged(inputs.frame, inputs.target, status, cause, reason))
 
 

@@ -384,7 +384,7 @@ REMEDIES: Mapping[str, Remedy] = MappingProxyType(
             "more motion is expected; `fit GRAPH --motion` finds the value from boxes",
         ),
         "wide": Remedy(
-            "an agent measures closer to the prediction than its error and the motion let expect",
+            "an agent measures closer to the prediction than its error and the motion model predict",
             "log RUN --why N",
             "ROOT.motion.MOTION.sd_px",
             "{x: 0.5, y: 0.5}",

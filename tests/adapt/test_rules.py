@@ -451,7 +451,7 @@ def test_lost_says_why(drive):
     (bad,) = drive(net(lost=LOST), [10] * 3, fits=[0.01, 0.03, 0.02]).of(StatusChanged)
     assert bad.cause == FitCause(0.05, 0.02, 3, 0.03)
     assert explain(bad) == (
-        "frame 3: the best hypothesis has a likelihood of 0.02 of a perfect match < fit_below 0.05 "
+        "frame 3: the best hypothesis has a fit of 0.02 (1: perfect) < fit_below 0.05 "
         "for 3 frames → target 1 lost; would not have been lost at fit_below ≤ 0.03"
     )
     (both,) = drive(net(lost=LOST), [500] * 3, fits=[0.01] * 3).of(StatusChanged)
@@ -475,13 +475,13 @@ def test_found_says_why(drive):
     (found,) = drive(net(lost=LOST), [50, 70, 60], net=gone).of(StatusChanged)
     assert found.cause == Cause("ud_px2", 100.0, 60.0, 3, 70.0, 60.0, 1.0)
     assert explain(found) == (
-        "frame 3: UD 60 px² ≤ 100 for 3 frames, and the best hypothesis has a likelihood of 1 of a perfect "
-        "match ≥ fit_below 0.05 → target 1 found again"
+        "frame 3: UD 60 px² ≤ 100 for 3 frames, and the best hypothesis has a fit of 1 "
+        "(1: perfect) ≥ fit_below 0.05 → target 1 found again"
     )
     unknown = {**LOST, "above": {"ud_baseline": 3.0}}
     (found,) = drive(net(lost=unknown), [50] * 3, net=gone, fits=[0.5] * 3).of(StatusChanged)
     assert found.cause is None
-    assert found.reason == "the best hypothesis has a likelihood of 0.5 of a perfect match ≥ fit_below 0.05"
+    assert found.reason == "the best hypothesis has a fit of 0.5 (1: perfect) ≥ fit_below 0.05"
 
 
 # ------------------------------------------------------------------------------------ turning

@@ -473,11 +473,12 @@ GOLDEN = [
     ),
     (
         CandidateConfirmed(3, "2", "square", "gray_level", 0, 3, 4, 0.8214, None),
-        "frame 3: gray_level detected it in 3 of its 4 runs since frame 0, mean score 0.82 → target 2 is new",
+        "frame 3: gray_level detected it in 3 of 4 evaluations since frame 0, mean score 0.82 "
+        "→ target 2 is new",
     ),
     (
         CandidateConfirmed(3, "2", "square", "gray_level", 3, 1, 1, 0.8214, UNLIKELY),
-        "frame 3: gray_level detected it in 1 of 1 run, mean score 0.82 → target 2 is new: it is "
+        "frame 3: gray_level detected it in 1 of 1 evaluation, mean score 0.82 → target 2 is new: it is "
         "target 1 with "
         "probability 0.123 < 0.5 (unseen for 41 frames -0.14, 235 px off -1.20, appearance by "
         "color, intensity -0.70 "
@@ -487,7 +488,8 @@ GOLDEN = [
         CandidateConfirmed(
             3, "2", "square", "gray_level", 3, 1, 1, 0.8214, replace(UNLIKELY, contested=True)
         ),
-        "frame 3: gray_level detected it in 1 of 1 run, mean score 0.82 → target 2 is new: it is target 1 "
+        "frame 3: gray_level detected it in 1 of 1 evaluation, mean score 0.82 → target 2 is new: "
+        "it is target 1 "
         "with probability 0.123 < 0.5 (unseen for 41 frames -0.14, 235 px off -1.20, appearance by color, "
         "intensity -0.70 nats)",
     ),

@@ -104,7 +104,7 @@ def test_from_the_command_line(pictures, found, tmp_path, capsys):
     assert main(["log", str(tmp_path / "run"), "--target", "1"]) == 0
     story = capsys.readouterr().out.splitlines()
     assert story[0].startswith(
-        "frame 4: detections detected it in 3 of its 3 runs since frame 2, mean score 0.80"
+        "frame 4: detections detected it in 3 of 3 evaluations since frame 2, mean score 0.80"
     )
     assert story[-1] == "summary: 4 frames, lost in 0; alive at the end of the run"
     assert main(["log", str(tmp_path / "run"), "--target", "2"]) == 2

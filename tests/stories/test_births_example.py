@@ -71,7 +71,9 @@ def test_the_hidden_square_is_found_again_with_its_identity():
         line.target: frozenset(line.active) for line in last.targets
     }
     story = describe_life(sink.events, sink.metrics, "1").splitlines()
-    assert story[0].startswith("frame 2: color_backprojection detected it in 3 of its 3 runs since frame 0")
+    assert story[0].startswith(
+        "frame 2: color_backprojection detected it in 3 of 3 evaluations since frame 0"
+    )
     assert story[-1].startswith("summary: 38 frames, lost in ")
 
 

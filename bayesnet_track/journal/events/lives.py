@@ -227,9 +227,9 @@ class CandidateConfirmed:
     confirm: float | None = field(default=None, metadata={"left_out_when_empty": True})
 
     def describe(self) -> str:
-        """`gray_level detected it in 3 of its 4 runs ...  → target 3 is new`."""
-        runs = "1 run" if self.looks == 1 else f"its {self.looks} runs"
-        detected = f"{self.detector} detected it in {self.seen} of {runs}"
+        """`gray_level detected it in 3 of 4 evaluations ...  → target 3 is new`."""
+        evaluations = plural(self.looks, "evaluation")
+        detected = f"{self.detector} detected it in {self.seen} of {evaluations}"
         start = f" since frame {self.first_frame}" if self.first_frame < self.frame else ""
         exists = ""
         if self.existence is not None and self.confirm is not None:

@@ -196,7 +196,7 @@ class SceneCut:
 def _by_fit(cause: FitCause, result: str) -> str:
     fit, level = distinct_texts(cause.fit, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
-    evidence = f"the best hypothesis has a likelihood of {fit} of a perfect match < fit_below {level} {span}"
+    evidence = f"the best hypothesis has a fit of {fit} (1: perfect) < fit_below {level} {span}"
     if cause.turning is None:
         return f"{evidence} → {result}; would have been lost by its UD at any fit_below"
     turning = round_away(cause.turning, decimals(cause.turning, cause.level), up=False)

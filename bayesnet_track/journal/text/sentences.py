@@ -332,7 +332,7 @@ def _levels(events: Sequence[Event]) -> list[str]:
         if isinstance(cause, ScoreCause) and isinstance(event, StatusChanged):
             levels[f"{'below' if cause.fell else 'from'} a score of {cause.level:g} {event.status}"] = None
         if isinstance(cause, FitCause):
-            levels[f"lost below a likelihood of {cause.level:g} of a perfect match"] = None
+            levels[f"lost below a fit of {cause.level:g} (1: perfect)"] = None
         if isinstance(cause, RuleCause) and isinstance(event, SelfStopped):
             side = "above" if cause.relation == ">" else "below"
             levels[f"{event.node} stops itself {side} {cause.level:g}{cause.unit} ({cause.rule})"] = None
