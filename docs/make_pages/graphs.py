@@ -37,18 +37,18 @@ NETWORK = ("siamese", "siamese_box", "onnx")
 HEAD = """\
 # The installed graphs
 
+![Two people in five frames, with boxes, hypotheses and active agents](figures/people_strip.png)
+
 <!-- Made by python docs/make_pages/graphs.py; do not edit. -->
 
-Each of these graphs can be named without a path, as in `bayesnet-track run general …`. Start with `general`
-for one target of unknown appearance, with `kalman_detections` if you have a detector's boxes, and with
-`people` if you have [a detection network](detectors.md#onnx). `sort`, `bytetrack` and `oc_sort` are [the
-field's own trackers](field_trackers.md). The others belong to the scenes of
-`bayesnet-track demo` and show one thing each; copy the file that is nearest to your task. `bayesnet-track
-graph NAME --formula` prints the density that a graph stands for.
+Start with `general` for one target of unknown appearance, with `kalman_detections` if you have a detector's
+boxes, and with `people` if you have [a detection network](detectors.md#onnx). `sort`, `bytetrack` and `oc_sort`
+are [published trackers](field_trackers.md). The others belong to scenes of `bayesnet-track demo` and show one
+thing each: copy the nearest one with `bayesnet-track init --from NAME`. `bayesnet-track graph NAME --formula`
+prints the density of a graph.
 
-Cost is what the cues of all agents declare for 1000 hypotheses of 60 × 60 px, in ms, with all of them on: a
-figure to compare graphs by. [Benchmarks](benchmarks/speed.md) have measured times. Where the column of
-accuracy is empty, no page has measured it.
+Cost is the declared cost of all agents for 1000 hypotheses of 60 × 60 px, in ms: a figure to compare graphs
+by. [Benchmarks](benchmarks/speed.md) have measured times. An empty accuracy has not been measured.
 """
 
 
