@@ -42,8 +42,8 @@ HEAD = """\
 <!-- Made by python docs/make_pages/graphs.py; do not edit. -->
 
 Start with `general` for one target of unknown appearance, with `kalman_detections` if you have a detector's
-boxes, and with `people` if you have [a detection network](detectors.md#onnx). `sort`, `bytetrack` and `oc_sort`
-are [published trackers](field_trackers.md). The others belong to scenes of `bayesnet-track demo` and show one
+boxes, and with `people` if you have [a detection network](detectors.md#onnx). `sort`, `bytetrack` and
+`oc_sort` are [published trackers](field_trackers.md). The others belong to scenes of `bayesnet-track demo` and show one
 thing each: copy the nearest one with `bayesnet-track init --from NAME`. `bayesnet-track graph NAME --formula`
 prints the density of a graph.
 
