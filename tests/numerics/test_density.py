@@ -134,7 +134,7 @@ def test_peaks_and_moments_of_the_components(small):
     heights = peaks * precisions.prod(axis=1)
     np.testing.assert_allclose(_peaks(log_weights, precisions), heights / heights.max())
     np.testing.assert_allclose(_peaks(log_weights, np.full((70, 3), 2.0)), peaks / peaks.max())
-    centre, spread = _moments(peaks, means, precisions)
+    centre, spread = _moments(peaks, peaks.sum(), means, precisions)
     share = peaks / peaks.sum()
     np.testing.assert_allclose(centre, share @ means)
     np.testing.assert_allclose(spread, share @ ((means - centre) ** 2 + precisions**-2.0))

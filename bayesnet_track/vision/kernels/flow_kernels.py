@@ -269,52 +269,39 @@ def track_points(
     mask = np.zeros(window * stride, np.float32)
     for j in range(window):
         mask[j * stride : j * stride + window] = np.float32(1.0)
-    start, flow, back = np.zeros(2), np.zeros(2), np.zeros(2)
+    start, moves = np.zeros(2), np.zeros((2, 2))
+    flow, back = moves[0], moves[1]
     height, width = fine_source.shape
     for n in range(points.shape[0]):
         x, y = points[n, 0] - origin[0], points[n, 1] - origin[1]
-        good = True
-        flow[:] = 0.0
-        for scale in (4, 2, 1):
-            source = coarse_source if scale == 4 else middle_source if scale == 2 else fine_source
-            target = coarse_target if scale == 4 else middle_target if scale == 2 else fine_target
-            flow *= 1.0 if scale == 4 else 2.0
-            start[0], start[1] = (x % scale) / scale, (y % scale) / scale
-            good = good and _track_level(
-                source,
-                target,
-                x // scale,
-                y // scale,
-                start,
-                flow,
-                window,
-                mask,
-                windows,
-                reach / scale + 1.0,
-            )
+        good, valid[n] = True, 0
+        for way in range(2):  # one loop, so that a level is compiled once
+            move = moves[way]
+            move[0] = move[1] = 0.0
+            shift_x, shift_y = (flow[0], flow[1]) if way else (0.0, 0.0)
+            for scale in (4, 2, 1):
+                source = coarse_source if scale == 4 else middle_source if scale == 2 else fine_source
+                target = coarse_target if scale == 4 else middle_target if scale == 2 else fine_target
+                if scale < 4:
+                    move[0], move[1] = 2.0 * move[0], 2.0 * move[1]
+                start[0], start[1] = (x % scale + shift_x) / scale, (y % scale + shift_y) / scale
+                good = good and _track_level(
+                    target if way else source,
+                    source if way else target,
+                    x // scale,
+                    y // scale,
+                    start,
+                    move,
+                    window,
+                    mask,
+                    windows,
+                    reach / scale + 1.0,
+                )
+            end_x, end_y = x + flow[0], y + flow[1]
+            good = good and -0.5 <= end_x <= width - 0.5 and -0.5 <= end_y <= height - 0.5
+            if not good:
+                break
         flows[n, 0], flows[n, 1] = flow[0], flow[1]
-        valid[n] = 0
-        end_x, end_y = x + flow[0], y + flow[1]
-        if not (good and -0.5 <= end_x <= width - 0.5 and -0.5 <= end_y <= height - 0.5):
-            continue
-        back[:] = 0.0
-        for scale in (4, 2, 1):
-            source = coarse_source if scale == 4 else middle_source if scale == 2 else fine_source
-            target = coarse_target if scale == 4 else middle_target if scale == 2 else fine_target
-            back *= 1.0 if scale == 4 else 2.0
-            start[0], start[1] = (x % scale + flow[0]) / scale, (y % scale + flow[1]) / scale
-            good = good and _track_level(
-                target,
-                source,
-                x // scale,
-                y // scale,
-                start,
-                back,
-                window,
-                mask,
-                windows,
-                reach / scale + 1.0,
-            )
         error_x, error_y = flow[0] + back[0], flow[1] + back[1]
         if good and error_x * error_x + error_y * error_y <= agree * agree:
             valid[n] = 1
