@@ -107,7 +107,7 @@ class ModelError(ValueError):
     """Files of a tracker's network that end the process that loads or runs them."""
 
 
-def check_models(name: str, models: Mapping[str, str]) -> None:
+def _check_models(name: str, models: Mapping[str, str]) -> None:
     """Try a tracker with network files in a process of its own; raises ModelError where that crashes."""
     if name in FILES:
         check_apart(try_models, [*models.values()], ModelError, name=name, models=dict(models))
@@ -364,7 +364,7 @@ def _missing(parameters: OpencvTrackerParameters) -> str | None:
     if absent is not None:
         return absent
     try:
-        check_models(parameters.tracker, parameters.models)
+        _check_models(parameters.tracker, parameters.models)
     except ModelError as error:
         return str(error)
     return None

@@ -54,7 +54,7 @@ def users_file(option: str, expected: str) -> Iterator[None]:
             raise UsageError(f"{option} {words(error)}; expected {expected}") from error
 
 
-def writing(path: Path) -> AbstractContextManager[None]:
+def users_output(path: Path) -> AbstractContextManager[None]:
     """Raise `OutputError`, which names the output, for what the system refuses inside it."""
     from bayesnet_track.journal import writer
 
@@ -66,7 +66,7 @@ def check_free(path: Path, overwrite: bool) -> None:
     from bayesnet_track.journal.disk import is_there
     from bayesnet_track.journal.writer import OutputError
 
-    with writing(path):
+    with users_output(path):
         if is_there(path) and not overwrite:
             raise OutputError(f"{path}: it is there already; --overwrite replaces it")
 

@@ -226,12 +226,12 @@ def _code_of(error: Exception, command: str) -> int | None:
     from bayesnet_track.runtime.recording.manifest import ManifestError
     from bayesnet_track.runtime.recording.rundir import RunDirectoryError
     from bayesnet_track.sources.paths import SourceError
-    from bayesnet_track.vision.calibration import CalibrationError
+    from bayesnet_track.vision.calibration import StereoCalibrationError
 
     if isinstance(error, UsageError | CueError | UnkeptBeliefError):
         return USAGE
     unreadable = RecipeError | CheckpointError | ResumeError | ManifestError
-    if isinstance(error, SourceError | JournalError | CalibrationError | unreadable):
+    if isinstance(error, SourceError | JournalError | StereoCalibrationError | unreadable):
         return BAD_SOURCE
     if isinstance(error, RunDirectoryError):
         return BAD_SOURCE if command in LOOKS_BACK else BAD_OUTPUT

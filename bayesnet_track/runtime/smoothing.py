@@ -151,7 +151,7 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
     most_probable_states: dict[tuple[str, int], Floats] = {}
     for lifetime in kept_lifetimes(run):
         first = lifetime[0]
-        root = root_of(run.spec.targets[run.kinds[first.target]])
+        root = _root_of(run.spec.targets[run.kinds[first.target]])
         moves = moves_of(run, lifetime)
         smoothed = _smooth_lifetime(
             run, root, lifetime, moves, draws, streams.of(first.target, "", first.frame, "smooth")
@@ -201,7 +201,7 @@ def _with_answers(
         if query.crosses is None
     )
     queries = [compiled for compiled in compiled_queries if not compiled.reads_inputs]
-    modes = {kind: modes_of(root_of(target)) for kind, target in spec.targets.items()}
+    modes = {kind: modes_of(_root_of(target)) for kind, target in spec.targets.items()}
     if not queries:
         yield from metrics
         return
@@ -307,7 +307,7 @@ def _described(
     if np.diagonal(belief.covariance)[:4].max() < KNOWN_PX2:
         return line
     plate = run.spec.targets[run.kinds[line.target]]
-    root = root_of(plate)
+    root = _root_of(plate)
     mean = belief.mean
     variances = np.clip(np.diagonal(belief.covariance)[:4], 0.0, None).copy()
     most_probable = (
@@ -350,7 +350,7 @@ def _floats(values: object) -> tuple[float, ...]:
     return tuple(np.asarray(values, dtype=np.float64).tolist())
 
 
-def root_of(plate: spec.Target) -> spec.InferenceNode:
+def _root_of(plate: spec.Target) -> spec.InferenceNode:
     """The inference node without a parent."""
     (root,) = (n for n in plate.nodes.values() if isinstance(n, spec.InferenceNode) and n.parent is None)
     return root
@@ -359,7 +359,7 @@ def root_of(plate: spec.Target) -> spec.InferenceNode:
 def moves_of(run: Run, lifetime: Sequence[KeptBelief]) -> list[Move]:
     """Motion of the filter from each frame of a target's lifetime to the next."""
     plate = run.spec.targets[run.kinds[lifetime[0].target]]
-    root = root_of(plate)
+    root = _root_of(plate)
     assert root.motion is not None
     plain = make_plate_motion(root, run.spec.constants, deviations_of(plate.nodes))
     size = Resizing.of(run.started).tracked

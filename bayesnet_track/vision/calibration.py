@@ -29,7 +29,7 @@ ALLOWED = (
 )
 
 
-class CalibrationError(ValueError):
+class StereoCalibrationError(ValueError):
     """A calibration file, or chessboard pictures, from which no calibration can be had."""
 
 
@@ -114,7 +114,7 @@ def rectification(cameras: Cameras) -> Rectification:
 
     shift = cameras.translation
     if not shift[0] < 0 or abs(shift[1]) > abs(shift[0]):
-        raise CalibrationError(
+        raise StereoCalibrationError(
             f"the right camera is at {', '.join(f'{-v:.3g}' for v in shift)} m (x, y, z) of the left one, "
             "not on its right; allowed: two cameras side by side; exchange left and right"
         )
@@ -195,8 +195,8 @@ def read_rectification(path: Path) -> Rectifier:
     )
     try:
         return rectification(cameras)
-    except CalibrationError as error:
-        raise CalibrationError(f"calibration file {str(path)!r}: {error}") from error
+    except StereoCalibrationError as error:
+        raise StereoCalibrationError(f"calibration file {str(path)!r}: {error}") from error
     except Exception as error:
         raise _wrong(path, "OpenCV cannot rectify with it") from error
 
@@ -254,8 +254,8 @@ def _entries(path: Path) -> dict[str, Any]:
     return entries
 
 
-def _wrong(path: Path, fault: str) -> CalibrationError:
-    return CalibrationError(
+def _wrong(path: Path, fault: str) -> StereoCalibrationError:
+    return StereoCalibrationError(
         f"calibration file {str(path)!r}: {fault}; allowed: {ALLOWED}; "
         "`bayesnet-track calibrate stereo` writes one"
     )
@@ -306,18 +306,18 @@ def calibrate_pair(
     import cv2
 
     if len(left) != len(right):
-        raise CalibrationError(
+        raise StereoCalibrationError(
             f"{len(left)} left pictures and {len(right)} right ones: each needs its partner"
         )
     sizes = {picture.shape[1::-1] for picture in (*left, *right)}
     if len(sizes) > 1:
         size_list = ", ".join(f"{w}x{h}" for w, h in sorted(sizes))
-        raise CalibrationError(f"pictures of several sizes ({size_list}); allowed: one size")
+        raise StereoCalibrationError(f"pictures of several sizes ({size_list}); allowed: one size")
     pairs = [(find_corners(a, board), find_corners(b, board)) for a, b in zip(left, right, strict=True)]
     complete = tuple(n for n, pair in enumerate(pairs) if pair[0] is not None and pair[1] is not None)
     if len(complete) < LEAST_VIEWS:
         left_count, right_count = (sum(pair[k] is not None for pair in pairs) for k in (0, 1))
-        raise CalibrationError(
+        raise StereoCalibrationError(
             f"a board of {board[0]}x{board[1]} inner corners is whole in {len(complete)} of {len(pairs)} "
             f"pairs ({left_count} left pictures, {right_count} right ones); at least {LEAST_VIEWS} are "
             f"needed; check {setting('--board', 'AxB', '(A, B)')}, which counts the corners where four "

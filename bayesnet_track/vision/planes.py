@@ -181,7 +181,7 @@ GRID_SIDE = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class PixelGrid:
     """Pixels of a part of a frame: all of them, or of a large target every `step`-th column and row.
 
     They lie on the same columns and rows of the frame wherever the part begins.
@@ -266,7 +266,7 @@ class TextureCodes:
         """Number of codes."""
         return 10 if self.form == "patterns" else 9
 
-    def grid(self, frame: Frame, boxes: Floats, size: Floats) -> Grid:
+    def grid(self, frame: Frame, boxes: Floats, size: Floats) -> PixelGrid:
         """Codes (rows, columns) in the centre boxes (N, 4) of a target of `size` (2,), px.
 
         Beyond the frame its border is repeated. The neighbours of a pixel are those in the frame, one pixel
@@ -277,13 +277,13 @@ class TextureCodes:
         step = step_of(size)
         rows, columns = _grid_lines(frame, boxes, step)
         if not (rows and columns):
-            return Grid(np.zeros((0, 0), np.uint8), columns.start, rows.start, step)
+            return PixelGrid(np.zeros((0, 0), np.uint8), columns.start, rows.start, step)
         y, x = _with_neighbours(rows, frame.height), _with_neighbours(columns, frame.width)
         values = gray(frame.image[:, x[0] : x[-1] + 1].take(y, axis=0)).take(x - x[0], axis=1)
         codes, spread = np.empty((len(y) - 2, len(x) - 2), np.uint8), 1 if step == 1 else 3
         fill = binary_patterns if self.form == "patterns" else gradient_directions
         fill(values, self.noise, codes)
-        return Grid(for_reading(codes[::spread, ::spread]), columns.start, rows.start, step)
+        return PixelGrid(for_reading(codes[::spread, ::spread]), columns.start, rows.start, step)
 
 
 def _with_neighbours(lines: range, length: int) -> Ints:

@@ -13,7 +13,7 @@ from bayesnet_track.runtime.checkpoints.standing import verify
 from bayesnet_track.runtime.recording.beliefs import read_beliefs
 from bayesnet_track.runtime.recording.manifest import write_smoothed
 from bayesnet_track.runtime.recording.rundir import RunDirectoryError
-from bayesnet_track.runtime.smoothing import KeptBeliefsError, motion_into, root_of, smooth
+from bayesnet_track.runtime.smoothing import KeptBeliefsError, _root_of, motion_into, smooth
 from bayesnet_track.sources.scenes.library import SceneSource
 
 FRAMES = 12
@@ -60,7 +60,7 @@ def test_a_smoothed_target_is_surer(name, request):
 
 def test_gaussians_are_smoothed_by_the_motion_that_was_at_work(gaussian_run):
     kept = list(read_beliefs(gaussian_run.directory.beliefs))
-    root = root_of(gaussian_run.spec.targets["ball"])
+    root = _root_of(gaussian_run.spec.targets["ball"])
     plain = make_plate_motion(root, {})
     size = gaussian_run.started.width, gaussian_run.started.height
     moves = [Move(motion_into(one, plain, root.motion, size), 1.0) for one in kept[1:]]

@@ -6,8 +6,8 @@ import pytest
 
 from bayesnet_track.cli.main import main
 from bayesnet_track.vision.calibration import (
-    CalibrationError,
     Rectification,
+    StereoCalibrationError,
     calibrate_pair,
     read_rectification,
 )
@@ -86,11 +86,11 @@ def test_a_pair_without_a_whole_board_is_left_out(boards):
 
 def test_what_cannot_be_calibrated_is_refused(boards):
     left, right = boards
-    with pytest.raises(CalibrationError, match="7 left pictures and 6 right ones"):
+    with pytest.raises(StereoCalibrationError, match="7 left pictures and 6 right ones"):
         calibrate_pair(left, right[:-1], BOARD, SQUARE)
-    with pytest.raises(CalibrationError, match=r"several sizes \(200x150, 400x300\)"):
+    with pytest.raises(StereoCalibrationError, match=r"several sizes \(200x150, 400x300\)"):
         calibrate_pair(left, [*right[:-1], right[-1][::2, ::2]], BOARD, SQUARE)
-    with pytest.raises(CalibrationError, match=r"9x7 .* whole in 0 of 7 pairs .* check board="):
+    with pytest.raises(StereoCalibrationError, match=r"9x7 .* whole in 0 of 7 pairs .* check board="):
         calibrate_pair(left, right, (9, 7), SQUARE)
 
 

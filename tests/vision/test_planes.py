@@ -5,7 +5,7 @@ import pytest
 
 from bayesnet_track import GrayPlane
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, Region
-from bayesnet_track.vision.planes import Grid, Hue, HueBins, TextureCodes, WholeFrame, gray, step_of
+from bayesnet_track.vision.planes import Hue, HueBins, PixelGrid, TextureCodes, WholeFrame, gray, step_of
 
 PLANES = [GrayPlane(), Hue(), Hue(median_px=5), HueBins(bins=16)]
 
@@ -66,7 +66,7 @@ def test_a_grid_holds_what_the_frame_has_on_its_lines(pair, form, step, box):
     all_codes = codes.grid(frame, np.array([[29.5, 19.5, 60.0, 40.0]]), np.ones(2)).values
     for grid, whole in (
         (codes.grid(frame, boxes, size), all_codes),
-        (Grid.of_image(frame, boxes, size), frame.image),
+        (PixelGrid.of_image(frame, boxes, size), frame.image),
     ):
         rows, columns = grid.values.shape[:2]
         expected = whole[grid.y :: grid.step, grid.x :: grid.step][:rows, :columns]
@@ -85,5 +85,5 @@ def test_a_grid_holds_what_the_frame_has_on_its_lines(pair, form, step, box):
 def test_rings_lie_on_the_grid(pair):
     """1.2 px x 0.5 mean sides around a box of 8 x 4: 11 x 7 px more of the frame."""
     size, box = np.full(2, 128.0), np.array([[30.0, 20.0, 8.0, 4.0]])
-    grid = Grid.of_image(pair.current, box, size, ring=0.5)
-    assert grid.values.shape == Grid.of_image(pair.current, box + [0, 0, 6, 6], size).values.shape
+    grid = PixelGrid.of_image(pair.current, box, size, ring=0.5)
+    assert grid.values.shape == PixelGrid.of_image(pair.current, box + [0, 0, 6, 6], size).values.shape

@@ -8,10 +8,10 @@ import pytest
 
 from bayesnet_track.observation.planes import StereoGeometry
 from bayesnet_track.vision.calibration import (
-    CalibrationError,
     Cameras,
     Rectification,
     RectifiedPair,
+    StereoCalibrationError,
     read_rectification,
     rectification,
     write_calibration,
@@ -82,7 +82,7 @@ def centre(image):
 def test_eyes_that_are_not_left_and_right_are_refused(shift, tmp_path):
     path = tmp_path / "swapped.yml"
     write_calibration(path, cameras(shift=shift))
-    with pytest.raises(CalibrationError, match="exchange left and right"):
+    with pytest.raises(StereoCalibrationError, match="exchange left and right"):
         read_rectification(path)
 
 
@@ -114,7 +114,7 @@ def test_what_is_wrong_with_a_file_is_said(tmp_path, text, said):
     path = tmp_path / "bad.yml"
     if text is not None:
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(CalibrationError, match=said) as raised:
+    with pytest.raises(StereoCalibrationError, match=said) as raised:
         read_rectification(path)
     assert str(path) in str(raised.value) and "calibrate" in str(raised.value)
 

@@ -19,9 +19,9 @@ from bayesnet_track.cli.arguments import (
     say,
     share,
     users_mistake,
+    users_output,
     whole_number,
     words,
-    writing,
 )
 from bayesnet_track.cli.commands.annotate_identities import add_identity_options, annotate_identities
 from bayesnet_track.cli.options import add_range_option, add_size_option
@@ -52,7 +52,7 @@ def annotate(options: argparse.Namespace) -> int:
 
     stop: StopRequest = options.stop
     folder = Path(options.out)
-    with writing(folder):
+    with users_output(folder):
         folder.mkdir(parents=True, exist_ok=True)
     try:
         with lock_run(RunDirectory(folder)):

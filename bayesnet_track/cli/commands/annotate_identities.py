@@ -15,9 +15,9 @@ from bayesnet_track.cli.arguments import (
     complain,
     say,
     users_mistake,
+    users_output,
     whole_number,
     words,
-    writing,
 )
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def annotate_identities(options: argparse.Namespace) -> int:
     except (RunDirectoryError, JournalError) as error:
         raise UsageError(f"--identities {options.identities}: {error}") from error
     folder = Path(options.out or Path(options.identities) / "identities")
-    with writing(folder):
+    with users_output(folder):
         folder.mkdir(parents=True, exist_ok=True)
     queue = IdentityQueue(Tracklets.of_run(run))
     try:

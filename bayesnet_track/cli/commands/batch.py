@@ -24,8 +24,8 @@ from bayesnet_track.cli.arguments import (
     say,
     seconds,
     users_mistake,
+    users_output,
     whole_number,
-    writing,
 )
 from bayesnet_track.cli.options import add_range_option, add_size_option
 
@@ -61,7 +61,7 @@ def batch(options: argparse.Namespace) -> int:
                 f"{lone.name}: no start box: give --init-from PATTERN, --init, or init in the list"
             )
     folder = Path(options.out)
-    with writing(folder):
+    with users_output(folder):
         folder.mkdir(parents=True, exist_ok=True)
     jobs = _jobs(options, videos, folder)
     table = folder / (TABLE if part is None else f"results.{part.label}.csv")

@@ -13,8 +13,8 @@ from bayesnet_track.cli.arguments import (
     metres,
     say,
     users_mistake,
+    users_output,
     whole_number,
-    writing,
 )
 from bayesnet_track.cli.options import add_range_option
 
@@ -33,7 +33,7 @@ def calibrate_stereo(options: argparse.Namespace) -> int:
     left, right = (read_all(text, options.value_range) for text in (options.left, options.right))
     with users_mistake():
         fitted = fit(left, right, board, options.square_m)
-    with writing(path):
+    with users_output(path):
         write_calibration(path, fitted.cameras)
     x, y, z = (-1000 * value for value in fitted.cameras.translation)
     unused = ", ".join(str(n) for n in range(len(left)) if n not in fitted.used)

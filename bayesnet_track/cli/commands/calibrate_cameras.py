@@ -9,7 +9,15 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.arguments import OK, UsageError, check_free, complain, say, users_mistake, writing
+from bayesnet_track.cli.arguments import (
+    OK,
+    UsageError,
+    check_free,
+    complain,
+    say,
+    users_mistake,
+    users_output,
+)
 
 if TYPE_CHECKING:
     from bayesnet_track.numerics.arrays import Floats, Image
@@ -41,7 +49,7 @@ def calibrate_camera(options: argparse.Namespace) -> int:
             sample, step = sample[1::2], 2 * step
     with users_mistake():
         fit = fit_lens(detected, size, board, options.square_m, sample)
-    with writing(path):
+    with users_output(path):
         write_camera(path, fit.intrinsics, {"rms_px": fit.rms_px})
     matrix, distortion = fit.intrinsics.matrix, fit.intrinsics.distortion
     say(f"board whole in {len(detected)} of {looked} frames; {fit.views} of them used")
@@ -82,7 +90,7 @@ def calibrate_ground(options: argparse.Namespace) -> int:
         fit = fit_ground(numbers[:, :2], numbers[:, 2:], size, lens)
     _say_fit(fit, numbers)
     rms = math.sqrt(float((fit.residuals_px**2).mean()))
-    with writing(path):
+    with users_output(path):
         write_camera(path, fit.view, {"rms_px": rms})
     if lens is None:
         _say_heights(fit)
@@ -164,7 +172,7 @@ def calibrate_poses(options: argparse.Namespace) -> int:
         name: {key: getattr(value, "tolist", lambda value=value: value)() for key, value in parts.items()}
         for name, parts in ((name, camera_entries(camera)) for name, camera in fit.cameras.items())
     }
-    with writing(path):
+    with users_output(path):
         path.write_text(json.dumps({"unit": "m", "cameras": entries}, indent=1) + "\n", encoding="utf-8")
     for name, camera in fit.cameras.items():
         x, y, z = camera.centre

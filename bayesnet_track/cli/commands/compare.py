@@ -23,8 +23,8 @@ from bayesnet_track.cli.arguments import (
     say,
     set_values,
     users_mistake,
+    users_output,
     whole_number,
-    writing,
 )
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def show_comparison(first: Run, second: Run, options: argparse.Namespace) -> int
         from bayesnet_track.view.compare_page import compare_page
 
         page = compare_page(first, second, compared, settings, pictures=_pictures(first, second, compared))
-        with writing(Path(options.html)):
+        with users_output(Path(options.html)):
             Path(options.html).write_text(page, encoding="utf-8")
     if options.json:
         say(_as_json(first, second, compared, settings))

@@ -20,8 +20,8 @@ from bayesnet_track.cli.arguments import (
     run_silently,
     say,
     users_mistake,
+    users_output,
     whole_number,
-    writing,
 )
 from bayesnet_track.cli.commands.calibrate_cameras import read_frame, read_points
 from bayesnet_track.cli.options import (
@@ -300,7 +300,7 @@ def cameras(options: argparse.Namespace) -> int:
     good, data = cv2.imencode(path.suffix or ".png", picture)
     if not good:
         raise UsageError(f"--out {path}: an image such as cameras.png is needed")
-    with writing(path):
+    with users_output(path):
         path.write_bytes(data.tobytes())
     say(f"wrote {path}: a line every {step:g} m, the axes x = 0 and y = 0 red, people 1.7 m high blue")
     return OK

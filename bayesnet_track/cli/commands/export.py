@@ -16,9 +16,9 @@ from bayesnet_track.cli.arguments import (
     complain,
     say,
     users_mistake,
+    users_output,
     whole_number,
     words,
-    writing,
 )
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _list(directory: RunDirectory) -> None:
 
 def _place(options: argparse.Namespace, directory: RunDirectory) -> Path:
     """The HTML file to write; its folder is there."""
-    with writing(Path(options.out or directory.path)):
+    with users_output(Path(options.out or directory.path)):
         place = _checked_place(options, directory)
         place.parent.mkdir(parents=True, exist_ok=True)
     return place
@@ -133,7 +133,7 @@ def _write_folder(path: Path, data: Data, pictures: RunPictures) -> None:
     frames: dict[str, list[int]] = {}
     if not path.exists():  # what is killed before the page is there leaves a folder that is known for its own
         _write(path, [UNFINISHED])
-    with writing(path.parent):
+    with users_output(path.parent):
         (path.parent / FRAMES_FOLDER).mkdir(exist_ok=True)
         for frame, camera, picture in full_pictures(pictures.views):
             place = path.parent / picture_name(frame, camera)
@@ -147,7 +147,7 @@ def _write(path: Path, pieces: Iterable[str]) -> None:
     from bayesnet_track.journal.writer import PART
 
     part = path.resolve().with_name(path.resolve().name + PART)
-    with writing(path):
+    with users_output(path):
         with part.open("w", encoding="utf-8", errors="replace", newline="\n") as file:
             for piece in pieces:
                 file.write(piece)
@@ -227,7 +227,7 @@ def export(options: argparse.Namespace) -> int:
         return OK
     path = Path(options.out)
     check_free(path, options.overwrite)
-    with writing(path), path.open("w", encoding="utf-8", newline="\n") as file:
+    with users_output(path), path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(parts)
     complain(f"wrote {path}")
     return OK
@@ -269,7 +269,7 @@ def _export_beliefs(options: argparse.Namespace) -> int:
     check_free(path, options.overwrite)
     run = open_run(options.run, complain)
     try:
-        with writing(path):
+        with users_output(path):
             write_arviz(run, path, options.draws or DRAWS)
     except (KeptBeliefsError, ArvizError) as error:
         raise UsageError(str(error)) from error

@@ -16,8 +16,8 @@ from bayesnet_track.cli.arguments import (
     complain,
     say,
     users_mistake,
+    users_output,
     whole_number,
-    writing,
 )
 from bayesnet_track.cli.commands.fit_text import (
     calibration_table,
@@ -183,7 +183,7 @@ def fit(options: argparse.Namespace) -> int:
         features = _choose("--features", options.features, (*SIGNS, *further_features(graph)))
     path = None if options.out is None else Path(options.out)
     if path is not None:
-        with writing(path):
+        with users_output(path):
             if is_there(path) and not options.overwrite:
                 raise UsageError(f"{path} exists; --overwrite replaces it")
     _check_what(quantities, graph, options.leave_one_out)

@@ -10,7 +10,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from bayesnet_track.cli.arguments import BAD_GRAPH, OK, UsageError, add_plugins, complain, say, writing
+from bayesnet_track.cli.arguments import BAD_GRAPH, OK, UsageError, add_plugins, complain, say, users_output
 from bayesnet_track.graph.text.messages import GraphError, nearest
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ def _plates(loaded: CheckedGraph, name: str | None) -> list[CheckedTarget]:
 
 
 def _write(path: Path, content: bytes) -> None:
-    with writing(path):
+    with users_output(path):
         path.write_bytes(content)
     say(f"wrote {path}")
 
@@ -262,7 +262,7 @@ def init(options: argparse.Namespace) -> int:
     from bayesnet_track.graphs import find_graph
 
     path = Path(options.file)
-    with writing(path):
+    with users_output(path):
         if path.exists() and not options.overwrite:
             raise UsageError(f"{path} is there already; `--overwrite` replaces it")
     try:
@@ -274,7 +274,7 @@ def init(options: argparse.Namespace) -> int:
     text = re.sub(r"(?m)^name: .*$", f"name: {name}", text, count=1)
     head = HEAD.format(source=options.source, path=path.as_posix().replace("\n", " "), name=name)
     check(*read_graph(head + text, str(path)))
-    with writing(path):
+    with users_output(path):
         path.write_text(head + text, encoding="utf-8")
     say(f"wrote {path}, a copy of the graph {options.source}")
     complain(

@@ -16,8 +16,8 @@ from bayesnet_track.cli.arguments import (
     say,
     share,
     users_mistake,
+    users_output,
     whole_number,
-    writing,
 )
 from bayesnet_track.cli.commands.detect import read_parameters
 from bayesnet_track.cli.options import add_depth_options, add_range_option, add_window_options, open_depth
@@ -125,7 +125,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
 def _write(path: Path, model: ShapeModel) -> None:
     from bayesnet_track.vision.shape import save_model
 
-    with writing(path):
+    with users_output(path):
         save_model(path, model)
 
 

@@ -26,8 +26,8 @@ from bayesnet_track.cli.arguments import (
     say,
     set_values,
     users_mistake,
+    users_output,
     whole_number,
-    writing,
 )
 from bayesnet_track.cli.commands.graphs import SCENE_GRAPHS
 from bayesnet_track.cli.commands.tracking import executor_of, track_source
@@ -126,7 +126,7 @@ def _demo_room(options: argparse.Namespace, fault: str) -> int:
     run_path = run_folder(options.out or f"runs/{options.scene}")
     options.overwrite = options.overwrite or options.out is None
     folder = run_path.with_name(f"{run_path.name}_inputs")
-    with writing(folder):
+    with users_output(folder):
         path, options.detections, truth = write_room(folder, fault, options.seed)
     graph = load_graph(options.graph or path)
     if options.set:
@@ -155,7 +155,7 @@ def _write_inputs(options: argparse.Namespace, source: SceneSource, run_path: Pa
     assert ground is not None
     folder = run_path.with_name(f"{run_path.name}_inputs")
     truth = folder / "truth.csv"
-    with writing(folder):
+    with users_output(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "detections.txt").write_text(ground.detections_mot(), encoding="utf-8")
         truth.write_text(ground.truth_csv(source.expected_frames), encoding="utf-8")
@@ -348,7 +348,7 @@ def simulate(options: argparse.Namespace) -> int:
     simulated = draw(plate, dict(graph.spec.constants), centre_from_corner(start.box), simulation)
     say(_summary(simulated, frame))
     if options.csv is not None:
-        with writing(Path(options.csv)):
+        with users_output(Path(options.csv)):
             Path(options.csv).write_text(_csv_text(simulated, frame.index), encoding="utf-8")
         say(f"wrote {options.csv}")
     if options.png is not None:
@@ -357,7 +357,7 @@ def simulate(options: argparse.Namespace) -> int:
         from bayesnet_track.view.overlay import draw_trajectories
 
         picture = cv2.imencode(".png", draw_trajectories(frame.image, simulated.boxes))[1].tobytes()
-        with writing(Path(options.png)):
+        with users_output(Path(options.png)):
             Path(options.png).write_bytes(picture)
         say(f"wrote {options.png}")
     return OK

@@ -22,7 +22,7 @@ from bayesnet_track.vision.kernels.color_kernels import (
     count_cells,
     ring_shares,
 )
-from bayesnet_track.vision.planes import Grid
+from bayesnet_track.vision.planes import PixelGrid
 
 TOP = 255
 """Level of a colour that is surely the target's."""
@@ -74,7 +74,7 @@ def count_pixels(frame: Frame, cells: CellLayout, boxes: Floats) -> Floats:
     counts = of_frame.get(key)
     if counts is None:
         filled = np.empty((len(boxes), cells.count))
-        grid = Grid.of_image(frame, boxes, boxes[-1, 2:])
+        grid = PixelGrid.of_image(frame, boxes, boxes[-1, 2:])
         count_cells(grid.values, cells.layout, plain(grid.boxes(boxes)), filled)
         counts = read_only(filled)
         if len(of_frame) >= KEPT:
@@ -99,7 +99,7 @@ def means(frame: Frame, cells: CellLayout, levels: Bytes, boxes: Floats, ring: f
     Of the pixels of the `Grid.of_image` of a target of `size` (2,).
     """
     shares = np.empty((len(boxes), 2))
-    grid = Grid.of_image(frame, boxes, size, ring)
+    grid = PixelGrid.of_image(frame, boxes, size, ring)
     boxes = plain(grid.boxes(boxes))
     box_and_ring_means(grid.values, cells.layout, for_reading(levels), boxes, ring, shares)
     return shares / TOP
