@@ -114,6 +114,7 @@ def check_sizes(graph: CheckedGraph, sizes: Mapping[str, tuple[int, int]]) -> No
             raise StartError(
                 f"calibration {key}: of {size[0]}x{size[1]} px, and the frames have {width}x{height} px; "
                 "allowed: the size that the camera was calibrated in"
+                + ("; one of the two was filmed upright, the other on its side" * (size == (height, width)))
             )
 
 

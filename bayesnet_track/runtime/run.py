@@ -18,6 +18,7 @@ from bayesnet_track.engine.starts import (
 )
 from bayesnet_track.engine.step import Engine, Outcome, State, make_engine, step
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.journal.events.cameras import ClockLearnt
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.runs import JOURNAL_VERSION, FrameSizeChanged, RunEnded, RunStarted
 from bayesnet_track.journal.net import Decision
@@ -200,6 +201,8 @@ def run(
                 raise
         totals.reason = source.end_reason
         totals.complete = totals.reason == "end_of_source"
+        for event in _clocks(state):
+            emit(event)
     except (KeyboardInterrupt, GeneratorExit):
         totals.reason = "interrupted"
         raise
@@ -212,6 +215,18 @@ def run(
             emit(RunEnded(totals.frames, source.expected_frames, totals.complete, totals.reason))
     if checkpointer is not None and has_started:
         checkpointer.ended()
+
+
+def _clocks(state: State | None) -> Iterator[Event]:
+    """The clocks of cameras after the last frame, where they are learnt."""
+    if state is None or state.previous is None or state.history.clocks is None:
+        return
+    for camera, previous in state.history.clocks.reported.items():
+        reading = state.history.clocks.reading(camera)
+        if reading != previous:
+            yield ClockLearnt(
+                state.previous.index, camera, reading.offset_s, reading.sd_s, previous.offset_s, previous.sd_s
+            )
 
 
 def _at_work() -> float:

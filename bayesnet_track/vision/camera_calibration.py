@@ -175,6 +175,7 @@ def fit_ground(
             f"the lens was calibrated with images of {w}x{h}, these are {size[0]}x{size[1]}; use images of "
             "one "
             "size, of the same mode of the camera"
+            + ("; one of the two was filmed upright, the other on its side" * ((h, w) == tuple(size)))
         )
     spare = 2 * len(pixels) - (8 if intrinsics is None else 6)
     try:

@@ -108,6 +108,7 @@ def test_the_place_of_a_camera_is_found_from_points(
         (lambda p: p[:, [0, 1, 2, 3]] * [1, 1, 1, -1], "mirrored"),
         (lambda p: np.column_stack([p[:, :2], p[:, 2], 0.001 * p[:, 3]]), "almost in one line on the ground"),
         (lambda p: p + [700, 0, 0, 0], "point 1 at"),
+        (lambda p: p * [0.7, 0, 1, 1] + [0, 630, 0, 0], "all would be in one that lies on its side"),
         (
             lambda p: np.vstack([p[[4]], p[[4]] + np.outer([1, 2, 3], [9, 7, 0.3, 0.2]), p[:1]]),
             "all but number 5",

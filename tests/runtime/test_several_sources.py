@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import csv
+import json
 import re
 
 import numpy as np
@@ -13,6 +14,8 @@ from bayesnet_track import track
 from bayesnet_track.cli.commands.diagnose import advise
 from bayesnet_track.cli.findings import Finding
 from bayesnet_track.cli.main import main
+from bayesnet_track.engine.starts import StartError
+from bayesnet_track.journal.events.cameras import ClockLearnt
 from bayesnet_track.runtime.checkpoints.resume import ResumeError, resume
 from bayesnet_track.runtime.recording.run_reader import open_run
 from bayesnet_track.sources.paths import SourceError
@@ -335,3 +338,26 @@ def test_reports_are_in_metres(room, tmp_path, capsys):
     assert re.search(r"UD +person 0\.\d+ m², view.east [\d.]+ px²", capsys.readouterr().out)
     advice = advise(open_run(out), Finding("1", "measures closer", "wide", "seen.south"))
     assert advice["try"].endswith("person.motion.constant_velocity.sd_velocity=0.25")
+
+
+def test_the_clock_of_a_camera_is_reported_when_the_run_ends(room, tmp_path):
+    graph = json.loads(room.read_text())
+    graph["cameras"]["east"]["clock"] = {"offset_s": {"sd": 0.2}}
+    room.write_text(json.dumps(graph))
+    steps = list(track(room, None, detections=detections_in(room), out=tmp_path / "run"))
+    events = open_run(tmp_path / "run").events
+    last = [event for event in events if isinstance(event, ClockLearnt)][-1]
+    state = steps[-1].targets[0].state
+    assert (last.frame, last.camera) == (COUNT - 1, "east")
+    assert last.offset_s == pytest.approx(state["view.east.clock_s"])
+    assert last.sd_s == pytest.approx(state["view.east.clock_s_sd"])
+    assert abs(last.offset_s) < 3 * last.sd_s < 0.3
+
+
+def test_frames_that_lie_on_their_side_are_named(room):
+    height, width = CAMERAS["east"].size
+    (room.parent / "east" / "seqinfo.ini").write_text(
+        f"[Sequence]\nimWidth={width}\nimHeight={height}\nframeRate=10\nseqLength=1\n"
+    )
+    with pytest.raises(StartError, match="filmed upright, the other on its side"):
+        list(track(room, None, detections=detections_in(room)))

@@ -251,6 +251,7 @@ def _check_inside(pixels: Floats, size: tuple[int, int]) -> None:
             f"point {number + 1} at {px:g}, {py:g} px is outside the image of {size[0]}x{size[1]}; pixels "
             "are "
             "counted from the top left corner of the image in its full size"
+            + ("; all would be in one that lies on its side" * bool((pixels < size[::-1]).all()))
         )
 
 

@@ -144,7 +144,7 @@ def existence_has_detections(plate: Plate) -> Iterator[GraphMessage]:
     if birth is None:
         remedy = "birth, too, or no such key"
         yield plate.at.message(path, "existence without birth", remedy, on_key=True)
-    if not _measuring(plate):
+    if not agents_of_detections(plate):
         fault = "existence without an agent that measures by detections"
         yield plate.at.message(path, fault, "agent: detection in a node, or no such key", on_key=True)
     if birth is not None and birth.confirm != Confirm():
@@ -166,7 +166,7 @@ def marginal_association_has_mixtures(plate: Plate) -> Iterator[GraphMessage]:
             fault = "associate: marginal with a belief that is not Gaussian"
             remedy = "belief: {gaussian: {filter: kalman}} at the root, or associate: assignment"
             yield plate.message(name, fault, remedy, key=("belief",) if node.belief else ())
-    for name in _measuring(plate):
+    for name in agents_of_detections(plate):
         parent = plate.agents[name].parent
         if parent not in plate.roots and not is_seen(plate.spec, parent):
             fault = f"associate: marginal with an agent that measures by detections below {parent}"
@@ -181,7 +181,7 @@ def identity_has_boxes(plate: Plate) -> Iterator[GraphMessage]:
     if plate.spec.state != "box":
         fault = "identity of a state that has no box in the image"
         yield plate.at.message(path, fault, "state: box, or no such key", on_key=True)
-    elif not _measuring(plate) or plate.spec.birth is None:
+    elif not agents_of_detections(plate) or plate.spec.birth is None:
         fault = "identity without an agent that measures by detections"
         remedy = "agent: detection in a node and birth: {detector: ...}, or no such key"
         yield plate.at.message(path, fault, remedy, on_key=True)
@@ -212,7 +212,7 @@ def lost_by_existence_has_existence(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, fault, remedy, key=("lost", rival), on_key=True)
 
 
-def _measuring(plate: Plate) -> list[str]:
+def agents_of_detections(plate: Plate) -> list[str]:
     """The agents that measure by detections."""
     declared = {name: plate.cues.get(node.agent.cue) for name, node in plate.agents.items()}
     return [

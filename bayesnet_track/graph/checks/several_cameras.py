@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
-from bayesnet_track.graph.checks.lifecycle import GraphCheck
+from bayesnet_track.graph.checks.lifecycle import GraphCheck, agents_of_detections
 from bayesnet_track.graph.checks.plates import Check, Plate, camera_above
 from bayesnet_track.graph.settings.base import Choice
 from bayesnet_track.graph.settings.net import InferenceNode, Node
@@ -135,6 +135,12 @@ def several_cameras_have_detections(plate: Plate) -> Iterator[GraphMessage]:
         path = ("targets", plate.name, "birth", "detector")
         fault = f"births by {birth.detector.detector} beside several cameras ({names})"
         yield plate.at.message(path, fault, f"{GIVEN}: those of each camera are given")
+    if not agents_of_detections(plate):
+        fault = (
+            f"targets that several cameras see ({names}) without an agent whose free detections start them"
+        )
+        remedy = "agent: detection below the view, beside those that look at the image"
+        yield plate.at.message(("targets", plate.name), fault, remedy, on_key=True)
     for name, node in plate.inference.items():
         if node.fuse is not None and node.fuse.latent is not None and camera_above(plate.spec, name):
             fault = f"fuse: latent below one of several cameras ({names})"

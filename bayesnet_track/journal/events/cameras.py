@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ClockLearnt:
-    """The clock of a camera is much better known than at the last report, or is elsewhere.
+    """The clock of a camera is much better known than at the last report, is elsewhere, or the run ends.
 
     Attributes:
         frame: step whose evidence it is after.
