@@ -1,11 +1,12 @@
 """What a frame costs: four agents, 1000 hypotheses, 640x480, beside OpenCV's CSRT in the same run.
 
-    python benchmarks/engine.py [--graphs color_fusion] [--sweep]
+    python benchmarks/engine.py [--graphs color_fusion] [--sweep [WORDS]]
 
 All agents stay active and learn, frames are in memory, everything runs on one core. Wall and CPU time are
 measured frame by frame, engine and peer in turn on the same frame, so that a busy machine slows both alike;
 CPU time says more there. CSRT is in opencv-contrib-python-headless only; without it MIL stands beside.
---sweep varies hypotheses, box, frame and agents one at a time.
+--sweep varies hypotheses, box, frame and agents one at a time, and the side of the target of `general`; with
+words, only what has them in its name.
 Asked for: 8 ms a frame (goal 5) and three times the rate of CSRT.
 """
 
@@ -37,6 +38,8 @@ from bayesnet_track.numerics.boxes import centre_from_corner, overlap
 from bayesnet_track.observation.planes import Frame
 
 WARM_UP = 10
+AGENTS = ("color", "filter")
+"""Those of `general`."""
 STAGES = ("planes", "belief", "measure", "learn")
 
 
@@ -70,7 +73,10 @@ class TrackedByEngine:
     """The engine on frames in memory."""
 
     def __init__(self, setting: Setting, start: tuple[float, float, float, float], first: Image) -> None:
-        graph = load_graph(always_on(setting.graph, setting.agents, setting.particles))
+        if setting.agents == AGENTS:  # as it is installed
+            graph = load_graph(setting.graph)
+        else:
+            graph = load_graph(always_on(setting.graph, setting.agents, setting.particles))
         self.engine: Engine = replace(make_engine(graph), clock=time.process_time)
         box = centre_from_corner(start)
         (plate,) = graph.targets
@@ -160,13 +166,19 @@ def sweeps() -> dict[str, list[tuple[float, Setting]]]:
             (w, replace(usual, size=(w, w * 3 // 4))) for w in (320, 640, 960, 1280, 1920)
         ],
         "agents": [(n, replace(usual, agents=FOUR_AGENTS[:n])) for n in (1, 2, 3, 4)],
+        "side of the target of general (px)": [
+            (s, Setting(500, float(s), (max(640, 22 * s // 10), max(480, 18 * s // 10)), AGENTS, "general"))
+            for s in (20, 40, 64, 100, 150, 200, 300, 600, 1000)
+        ],
     }
 
 
-def sweep(frames: int) -> None:
-    """Print the cost of every setting of `sweeps`."""
-    parts = (*FOUR_AGENTS, *STAGES, "rest")
+def sweep(frames: int, words: str) -> None:
+    """Print the cost of every setting of the `sweeps` with these words in their name."""
     for name, settings in sweeps().items():
+        if words not in name:
+            continue
+        parts = (*settings[-1][1].agents, *STAGES, "rest")
         costs = [(value, measured(setting, frames)["engine"]) for value, setting in settings]
         rows = [
             [f"{value:g}", f"{cost.cpu_ms:.2f}", *(_part(cost, part) for part in parts)]
@@ -186,16 +198,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--frames", type=int, default=200)
     parser.add_argument("--graphs", default="color_fusion")
-    parser.add_argument("--sweep", action="store_true")
+    parser.add_argument("--sweep", nargs="?", const="", metavar="WORDS")
     options = parser.parse_args(arguments)
     on_one_thread()
     print(environment() + "\n")
-    for graph in options.graphs.split(","):
+    for graph in filter(None, options.graphs.split(",")):
         print(
             f"## {graph}\n\n" + report(measured(Setting(graph=graph), options.frames, with_peer=True)) + "\n"
         )
-    if options.sweep:
-        sweep(min(options.frames, 60))
+    if options.sweep is not None:
+        sweep(min(options.frames, 60), options.sweep)
 
 
 if __name__ == "__main__":
