@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 
 import numpy as np
 
+from bayesnet_track.adapt.identities import LEAST_DOUBT
 from bayesnet_track.belief.asked import groups_of
 from bayesnet_track.belief.contract import MotionModel, Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
@@ -20,6 +19,7 @@ from bayesnet_track.belief.motion.modes import modes_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.smoothing import Move, most_probable_trajectory, smooth_gaussians, smooth_particles
 from bayesnet_track.engine.compiled import make_plate_motion
+from bayesnet_track.engine.lifecycle.identities import SURE
 from bayesnet_track.engine.metrics import CLOUD_SIZE, state_numbers
 from bayesnet_track.engine.queries import AskedTargets, answer
 from bayesnet_track.engine.scoring.score import blur_regions
@@ -28,9 +28,8 @@ from bayesnet_track.graph.checks.plates import names_of_inputs, numbers_of_kinds
 from bayesnet_track.graph.checks.queries import input_columns
 from bayesnet_track.inference.queries import compile_query
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.journal.events.lives import CandidateConfirmed, Reacquired, Returned, TargetStarted
+from bayesnet_track.journal.events.lives import Returned, TargetStarted
 from bayesnet_track.journal.events.runs import RunEnded, RunStarted
-from bayesnet_track.journal.events.statuses import IdentityDoubtful
 from bayesnet_track.journal.metrics import FrameMetrics, numbers_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
@@ -105,6 +104,8 @@ Smoothed = ParticleSet | GaussianPosterior
 
 NO_SEARCH = Search(0.0, "", 0, np.zeros((0, 4)), np.zeros(0), 0.0, 0.0)
 
+EXCHANGE = 0.2
+"""Probability that a track goes over to another identity in a frame."""
 KNOWN_PX2 = 1e-6
 """A box whose fields vary less is known: that of the frame in which the target was given."""
 
@@ -177,7 +178,7 @@ def smooth(run: Run, draws: int = 50, seed: int = 0, most_probable: bool = False
         else line
         for line in run.metrics
     )
-    metrics = tuple(settle_identities(_with_answers(run, metrics, smoothed_beliefs), run.events))
+    metrics = tuple(settle_identities([*_with_answers(run, metrics, smoothed_beliefs)]))
     events = tuple(
         replace(event, smoothed=True) if isinstance(event, RunStarted) else event for event in run.events
     )
@@ -226,29 +227,40 @@ def _with_answers(
             yield replace(line, queries={**line.queries, **numbers})
 
 
-def settle_identities(lines: Iterable[FrameMetrics], events: Iterable[Event]) -> Iterator[FrameMetrics]:
-    """The lines with identities as they were settled, from the first frame on in which they are doubtful.
+def settle_identities(lines: Sequence[FrameMetrics]) -> Iterator[FrameMetrics]:
+    """The lines with identities given the whole run, by the backward pass of a hidden Markov model.
 
-    Until a meeting is settled its probabilities are of the frames so far. Only a meeting, or a recognition,
-    changes an identity: from one to the next, a target has what is known of it at the end of that stretch.
+    In a frame s(u) is the filter's probability that a target is u, and b(v) that of the next frame given all:
+
+        b'(u) = sum_v b(v) T(u, v) s(u) / sum_w T(w, v) s(w)
+
+    A track goes over to another identity in a frame with probability `EXCHANGE` (Rabiner 1989).
     """
-    changes: defaultdict[str, set[int]] = defaultdict(set)
-    for event in events:
-        if isinstance(event, IdentityDoubtful):
-            changes[event.target].add(event.since)
-            if event.mutual:
-                changes[event.other].add(event.since)
-        elif isinstance(event, Returned | Reacquired | CandidateConfirmed):
-            changes[event.target].add(event.frame)
-    starts = {target: sorted(frames) for target, frames in changes.items()}
-    ordered = [(line, bisect_right(starts.get(line.target, ()), line.frame)) for line in lines]
-    settled = {(line.target, stretch): line.identities for line, stretch in ordered}
-    doubtful: set[tuple[str, int]] = set()
-    for line, stretch in ordered:
-        if line.identities:
-            doubtful.add((line.target, stretch))
-        is_settled = (line.target, stretch) in doubtful
-        yield replace(line, identities=settled[line.target, stretch]) if is_settled else line
+    following: dict[str, Mapping[str, float]] = {}
+    settled: list[Mapping[str, float]] = []
+    for line in reversed(lines):
+        shares: Mapping[str, float] = line.identities or {line.target: 1.0}
+        later = following.get(line.target, shares)
+        if later != shares:
+            shares = _settled(shares, later)
+        following[line.target] = shares
+        settled.append({} if shares.get(line.target, 0.0) >= SURE else shares)
+    for line, identities in zip(lines, reversed(settled), strict=True):
+        yield replace(line, identities=identities)
+
+
+def _settled(shares: Mapping[str, float], later: Mapping[str, float]) -> dict[str, float]:
+    """The shares of a frame, of the filter, given those of the next frame; the most probable one first."""
+    changing = EXCHANGE / max(len({*shares, *later}) - 1, 1)
+    posterior = dict.fromkeys(shares, 0.0)
+    for name, probability in later.items():
+        stays = (1.0 - EXCHANGE - changing) * shares.get(name, 0.0)
+        for previous, share in shares.items():
+            joint = share * (1.0 - EXCHANGE if previous == name else changing)
+            posterior[previous] += probability * joint / (stays + changing)
+    total = sum(posterior.values())
+    ranked = sorted(posterior.items(), key=lambda item: -item[1])
+    return {name: share / total for name, share in ranked if share >= LEAST_DOUBT * total}
 
 
 def _most_probable(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
+from itertools import pairwise, product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,7 +24,7 @@ from bayesnet_track.journal.events.statuses import IdentityDoubtful
 from bayesnet_track.journal.frame_columns import columns_of, lines_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.runtime.checkpoints.state_codec import decode_state, encode_state
-from bayesnet_track.runtime.smoothing import smooth
+from bayesnet_track.runtime.smoothing import EXCHANGE, settle_identities, smooth
 
 
 def with_identity(name: str = "kalman_detections", **keys: object) -> CheckedGraph:
@@ -161,18 +163,38 @@ def test_the_table_of_tracks_has_the_two_most_probable_identities(tmp_path: Path
     assert '"identity_doubtful"' in (out / "journal.jsonl").read_text(encoding="utf-8")
 
 
-def test_smoothing_gives_identities_as_they_were_settled(tmp_path: Path) -> None:
-    run = open_run(recorded(ways((24, 36), 1.0), tmp_path, keep_beliefs=True))
-    smoothed = smooth(run)
-    (event,) = (event for event in run.events if isinstance(event, IdentityDoubtful))
-    filtered = [line.identities for line in run.metrics if line.target == event.target and line.identities]
-    settled = [line for line in smoothed.metrics if line.target == event.target and line.identities]
-    assert filtered[0] != filtered[-1] and len(settled) == len(filtered)
-    assert {line.identities[event.other] for line in settled} == {filtered[-1][event.other]}
-    assert all(event.since <= line.frame for line in settled)
-
-
-def test_smoothing_leaves_no_doubt_about_a_plain_crossing(tmp_path: Path) -> None:
+def test_smoothed_identities_are_those_of_the_filter_at_the_end_and_surer_before(tmp_path: Path) -> None:
     run = open_run(recorded(ways(None, 6.0), tmp_path, keep_beliefs=True))
-    assert any(line.identities for line in run.metrics)
-    assert not any(line.identities for line in smooth(run).metrics)
+    lines = [*zip(run.metrics, smooth(run).metrics, strict=True)]
+    doubts = [
+        [1.0 - line.identities.get(line.target, 0.0) if line.identities else 0.0 for line in pair]
+        for pair in lines
+    ]
+    filtered, smoothed = np.array(doubts).T
+    assert filtered.max() > 0.1 and smoothed.max() < filtered.max() / 2
+    assert all(smoothed_line.identities == line.identities for line, smoothed_line in lines[-2:])
+
+
+def test_smoothed_identities_are_those_of_all_sequences() -> None:
+    """Against enumeration of the hidden sequences, of evidence that the filter has summed over."""
+    rng, exchange = np.random.default_rng(1), EXCHANGE
+    evidence = rng.uniform(0.05, 1.0, (5, 2))
+    evidence[0] = [1.0, 0.0]  # the track begins as itself
+    turn = np.array([[1.0 - exchange, exchange], [exchange, 1.0 - exchange]])
+    shares = [np.array([1.0, 0.0])]
+    for weights in evidence[1:]:
+        posterior = weights * (shares[-1] @ turn)
+        shares.append(posterior / posterior.sum())
+    expected = np.zeros((5, 2))
+    for states in product((0, 1), repeat=5):
+        steps = np.prod([turn[a, b] for a, b in pairwise(states)])
+        expected[range(5), states] += steps * np.prod(evidence[range(5), states])
+    expected /= expected.sum(axis=1, keepdims=True)
+    tracker, _, _ = run(with_identity(), ways(None, 6.0)[:4])
+    lines = [
+        replace(tracker.targets[0], target="1", frame=k, identities={"1": p, "9": q})
+        for k, (p, q) in enumerate(shares)
+    ]
+    settled = [line.identities or {"1": 1.0} for line in settle_identities(lines)]
+    for found, (p, q) in zip(settled, expected, strict=True):
+        assert found.get("9", 0.0) == pytest.approx(q, abs=0.011 if p > 0.98 else 2e-3)
