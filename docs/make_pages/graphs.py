@@ -43,9 +43,9 @@ HEAD = """\
 
 Start with `general` for one target of unknown appearance, with `kalman_detections` if you have a detector's
 boxes, and with `people` if you have [a detection network](detectors.md#onnx). `sort`, `bytetrack` and
-`oc_sort` are [published trackers](field_trackers.md). The others belong to scenes of `bayesnet-track demo` and show one
-thing each: copy the nearest one with `bayesnet-track init --from NAME`. `bayesnet-track graph NAME --formula`
-prints the density of a graph.
+`oc_sort` are [published trackers](field_trackers.md). The others belong to scenes of `bayesnet-track demo`
+and show one thing each: copy the nearest one with `bayesnet-track init --from NAME`. `bayesnet-track graph
+NAME --formula` prints the density of a graph.
 
 Cost is the declared cost of all agents for 1000 hypotheses of 60 × 60 px, in ms: a figure to compare graphs
 by. [Benchmarks](benchmarks/speed.md) have measured times. An empty accuracy has not been measured.

@@ -165,8 +165,8 @@ ONE_BY_ONE = 3
 """Of more targets than this, findings that are alike are printed once."""
 SHOWN_TARGETS = 8
 UNTRIED = (
-    "no value was tried here, and one that helps one video makes another worse: `what-if` tracks with it and "
-    "compares. Compare a value with several seeds (run --seeds 5) before you keep it: one run may be chance"
+    "these values are untested, and a value that helps one video may harm another: `what-if` tracks with it "
+    "and compares. Compare it with several seeds (run --seeds 5) before you keep it: one run may be chance"
 )
 
 

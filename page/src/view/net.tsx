@@ -79,7 +79,7 @@ export function Net({ state }: { state: State }) {
         ))}
       </svg>
       <p class="hint">
-        Filled: on. Edges as wide as the message is strong, in nats.
+        Filled: on. Line width: strength of the message, in nats.
         {hand === null && Object.keys(settings).length > 0 && " Press a node for its parameters and its band."}
         {hand !== null && <b> Press an agent to switch it by hand.</b>}
         {hand === null && state.live?.isOn.value && !state.following.value && " To switch agents, go to the newest frame."}
