@@ -954,7 +954,7 @@ def test_list_names_what_is_installed(cli):
     assert code == 0
     assert all(name in out for name in (*graph_names(), *scene_names(), *installed_cues()))
     assert re.search(r"^  general +Colour against", out, re.MULTILINE)
-    folder = re.search(r"copy its file from (.*)\):", out)[1]
+    folder = re.search(r"graphs \(in (.*); `bayesnet-track init", out)[1]
     assert (Path(folder) / "general.yaml").read_text(encoding="utf-8").startswith("# A sensible default")
 
 
