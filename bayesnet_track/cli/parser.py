@@ -10,41 +10,21 @@ from functools import cache
 from textwrap import fill
 from typing import Any, NoReturn
 
-from bayesnet_track.cli.commands.annotate import add_annotate, annotate
-from bayesnet_track.cli.commands.batch import add_batch, batch
-from bayesnet_track.cli.commands.calibrate import add_calibrate, calibrate
-from bayesnet_track.cli.commands.compare import add_compare, add_what_if, compare, what_if
-from bayesnet_track.cli.commands.detect import add_cameras, add_detect, cameras, detect
-from bayesnet_track.cli.commands.diagnose import add_diagnose, diagnose
-from bayesnet_track.cli.commands.export import add_export, add_plot, add_report, export, plot_run, report
-from bayesnet_track.cli.commands.fit import add_fit, fit
-from bayesnet_track.cli.commands.graphs import (
-    add_completion,
-    add_graph,
-    add_init,
-    add_list,
-    add_schema,
-    add_validate,
-    completion,
-    graph,
-    init,
-    list_installed,
-    schema,
-    validate,
+from bayesnet_track.cli.commands import (
+    annotate,
+    batch,
+    calibrate,
+    compare,
+    detect,
+    diagnose,
+    export,
+    fit,
+    graphs,
+    learn,
+    review,
+    runs,
+    tracking,
 )
-from bayesnet_track.cli.commands.learn import add_learn_shape, add_learn_stereo, learn_shape, learn_stereo
-from bayesnet_track.cli.commands.review import add_log, add_score, add_verify, log, score, verify
-from bayesnet_track.cli.commands.runs import (
-    add_demo,
-    add_resume,
-    add_simulate,
-    add_smooth,
-    demo,
-    resume,
-    simulate,
-    smooth,
-)
-from bayesnet_track.cli.commands.tracking import add_run, run
 from bayesnet_track.cli.doctor import add_doctor
 from bayesnet_track.sources.paths import hide_secrets
 
@@ -226,36 +206,14 @@ exit codes:
 Adding = Callable[[Any], None]
 Action = Callable[[argparse.Namespace], int]
 
+_MODULES = (
+    annotate, batch, calibrate, compare, detect, diagnose, export,
+    fit, graphs, learn, review, runs, tracking,
+)  # fmt: skip
+
 COMMANDS: Mapping[str, tuple[Adding, Action | None]] = {
-    "demo": (add_demo, demo),
-    "run": (add_run, run),
-    "validate": (add_validate, validate),
-    "graph": (add_graph, graph),
-    "annotate": (add_annotate, annotate),
-    "smooth": (add_smooth, smooth),
-    "simulate": (add_simulate, simulate),
-    "detect": (add_detect, detect),
-    "calibrate": (add_calibrate, calibrate),
-    "cameras": (add_cameras, cameras),
-    "schema": (add_schema, schema),
-    "list": (add_list, list_installed),
-    "log": (add_log, log),
-    "score": (add_score, score),
-    "learn-shape": (add_learn_shape, learn_shape),
-    "fit": (add_fit, fit),
-    "learn-stereo": (add_learn_stereo, learn_stereo),
-    "init": (add_init, init),
     "doctor": (add_doctor, None),
-    "completion": (add_completion, completion),
-    "resume": (add_resume, resume),
-    "verify": (add_verify, verify),
-    "batch": (add_batch, batch),
-    "report": (add_report, report),
-    "compare": (add_compare, compare),
-    "what-if": (add_what_if, what_if),
-    "export": (add_export, export),
-    "plot": (add_plot, plot_run),
-    "diagnose": (add_diagnose, diagnose),
+    **{name: command for module in _MODULES for name, command in module.COMMANDS.items()},
 }
 """Command -> what adds its parser, and what it does; `doctor` starts where the others cannot be imported."""
 

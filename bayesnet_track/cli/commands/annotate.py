@@ -38,7 +38,7 @@ FORMATS = ("coco", "mot", "cvat", "label-studio", "yolo")
 COUNTED = ("given", "tracked", "interpolated", "gone")
 
 
-def annotate(options: argparse.Namespace) -> int:
+def _annotate(options: argparse.Namespace) -> int:
     """Open or go on with a session, in the browser or without; write the annotations at its end."""
     if options.identities is not None:
         return annotate_identities(options)
@@ -187,8 +187,7 @@ def _warn_of_score(graph: CheckedGraph) -> None:
         )
 
 
-def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
     annotate = commands.add_parser(
         "annotate",
         help="label every frame of a video; it tracks, and asks only where it is unsure",
@@ -239,3 +238,6 @@ def add_annotate(commands: argparse._SubParsersAction[Any]) -> None:
         help="address that the page listens at (default 127.0.0.1: only this machine)",
     )
     page.add_argument("--open", action="store_true", help="open the page in this machine's browser")
+
+
+COMMANDS = {"annotate": (_add_annotate, _annotate)}

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.stop import StopRequest
 
 
-def batch(options: argparse.Namespace) -> int:
+def _batch(options: argparse.Namespace) -> int:
     """Track in many videos."""
     from bayesnet_track.cli.batch.jobs import TABLE
     from bayesnet_track.cli.batch.results import BatchProgress, BatchTable, Ledger, Silence
@@ -213,8 +213,7 @@ def _jobs(options: argparse.Namespace, videos: list[BatchVideo], folder: Path) -
     ]
 
 
-def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     batch = commands.add_parser(
         "batch",
         help="track targets in many videos in parallel",
@@ -302,3 +301,6 @@ def add_batch(commands: argparse._SubParsersAction[Any]) -> None:
     batch.add_argument("-q", "--quiet", action="store_true", help="only errors and warnings")
     batch.add_argument("--json", action="store_true", help="at the end, one JSON object with one row per run")
     add_plugins(batch)
+
+
+COMMANDS = {"batch": (_add_batch, _batch)}

@@ -85,7 +85,7 @@ def read_all(text: str, value_range: tuple[float, float] | None = None) -> list[
     return [item.image for item in items if isinstance(item, Frame)]
 
 
-def calibrate(options: argparse.Namespace) -> int:
+def _calibrate(options: argparse.Namespace) -> int:
     """Calibrate what the first word says."""
     from bayesnet_track.cli.commands import calibrate_cameras
 
@@ -100,7 +100,7 @@ def calibrate(options: argparse.Namespace) -> int:
     return actions[options.what](options)
 
 
-def add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
+def _add_calibrate(commands: argparse._SubParsersAction[Any]) -> None:
     """Add the command, and what it calibrates."""
     calibrate = commands.add_parser(
         "calibrate", help="calibrate a camera, its place over the ground, or a stereo pair"
@@ -167,3 +167,6 @@ def _add_board(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--square", dest="square_m", required=True, type=metres, metavar="M", help="side of a square, m"
     )
+
+
+COMMANDS = {"calibrate": (_add_calibrate, _calibrate)}

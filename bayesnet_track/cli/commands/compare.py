@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.results import Result
 
 
-def compare(options: argparse.Namespace) -> int:
+def _compare(options: argparse.Namespace) -> int:
     """Tell where two runs part, and why."""
     from bayesnet_track.runtime.recording.run_reader import open_run
 
@@ -249,8 +249,7 @@ def _as_json(first: Run, second: Run, compared: Comparison, settings: list[str])
     )
 
 
-def add_compare(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_compare(commands: argparse._SubParsersAction[Any]) -> None:
     compare = commands.add_parser(
         "compare", help="show where the decisions of two runs differ, why, and what that cost or saved"
     )
@@ -272,7 +271,7 @@ def add_comparison_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print it as JSON")
 
 
-def what_if(options: argparse.Namespace) -> int:
+def _what_if(options: argparse.Namespace) -> int:
     """Run again, then compare."""
     from bayesnet_track.runtime.recording.manifest import add_output
     from bayesnet_track.runtime.recording.run_reader import open_run
@@ -395,8 +394,7 @@ def _require_adaptation(spec: GraphSpec) -> None:
     )
 
 
-def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
     what_if = commands.add_parser(
         "what-if",
         help="repeat a run with other thresholds or another seed, and compare",
@@ -430,3 +428,6 @@ def add_what_if(commands: argparse._SubParsersAction[Any]) -> None:
     what_if.add_argument("--log-json", action="store_true", help="progress as JSON lines, on stderr")
     add_plugins(what_if)
     add_comparison_options(what_if)
+
+
+COMMANDS = {"compare": (_add_compare, _compare), "what-if": (_add_what_if, _what_if)}

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 JSON_LINES = (".jsonl", ".json", ".ndjson")
 
 
-def detect(options: argparse.Namespace) -> int:
+def _detect(options: argparse.Namespace) -> int:
     """Detect in every frame; write MOT or JSON Lines, and a video on request."""
     from bayesnet_track.observation.detector import DetectorError, LearningDetector
     from bayesnet_track.observation.planes import ways_of_depth
@@ -226,8 +226,7 @@ def _is_json(options: argparse.Namespace) -> bool:
     return options.out is not None and Path(options.out).suffix.lower() in JSON_LINES
 
 
-def add_detect(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_detect(commands: argparse._SubParsersAction[Any]) -> None:
     detect = commands.add_parser("detect", help="find targets in every frame with a detector")
     detect.add_argument("name", metavar="DETECTOR", help="see `list`")
     detect.add_argument(
@@ -260,7 +259,7 @@ def add_detect(commands: argparse._SubParsersAction[Any]) -> None:
 FAR_OFF_PX = 5.0
 
 
-def cameras(options: argparse.Namespace) -> int:
+def _cameras(options: argparse.Namespace) -> int:
     """Draw the ground grid, people for scale, and residuals of known points over a frame."""
     import cv2
     import numpy as np
@@ -338,8 +337,7 @@ def _camera_name(views: dict[str, GroundView], name: str | None) -> str:
     return name
 
 
-def add_cameras(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_cameras(commands: argparse._SubParsersAction[Any]) -> None:
     cameras = commands.add_parser(
         "cameras", help="draw the ground of a calibrated camera, in metres, over a frame"
     )
@@ -357,3 +355,6 @@ def add_cameras(commands: argparse._SubParsersAction[Any]) -> None:
         "-o", "--out", default="cameras.png", metavar="FILE", help="image to write (default cameras.png)"
     )
     cameras.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
+
+
+COMMANDS = {"detect": (_add_detect, _detect), "cameras": (_add_cameras, _cameras)}

@@ -170,7 +170,7 @@ UNTRIED = (
 )
 
 
-def diagnose(options: argparse.Namespace) -> int:
+def _diagnose(options: argparse.Namespace) -> int:
     """Print what stands out, target by target."""
     import json
 
@@ -301,8 +301,7 @@ def _lines(run: str, advice: Mapping[str, Any]) -> Iterator[str]:
         yield f"  look  bayesnet-track log {run} --why {advice['frame']}"
 
 
-def add_diagnose(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_diagnose(commands: argparse._SubParsersAction[Any]) -> None:
     parser = commands.add_parser(
         "diagnose",
         help="find what went wrong in a run, and which setting to change",
@@ -318,3 +317,6 @@ def add_diagnose(commands: argparse._SubParsersAction[Any]) -> None:
         help="where identities switch: track again with each setting that may prevent it, and count",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+COMMANDS = {"diagnose": (_add_diagnose, _diagnose)}

@@ -32,7 +32,7 @@ FOLDER, INDEX = "report", "index.html"
 UNFINISHED = "<!doctype html><title>unfinished</title><p>This page is not finished: make it again.</p>\n"
 
 
-def report(options: argparse.Namespace) -> int:
+def _report(options: argparse.Namespace) -> int:
     """Write the page of a run."""
     from bayesnet_track.journal.blocks import Blocks
     from bayesnet_track.journal.events.runs import RunStarted
@@ -154,7 +154,7 @@ def _write(path: Path, pieces: Iterable[str]) -> None:
         part.replace(path.resolve())
 
 
-def plot_run(options: argparse.Namespace) -> int:
+def _plot_run(options: argparse.Namespace) -> int:
     """Draw a run over time."""
     from bayesnet_track.journal.text.story import check_target
     from bayesnet_track.runtime.recording.run_reader import open_run
@@ -171,8 +171,7 @@ def plot_run(options: argparse.Namespace) -> int:
     return OK
 
 
-def add_plot(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_plot(commands: argparse._SubParsersAction[Any]) -> None:
     plot = commands.add_parser("plot", help="draw uncertainty and active agents over time, as SVG")
     plot.add_argument("run", metavar="RUN", help="run directory")
     plot.add_argument("-o", "--out", metavar="FILE", help="SVG file to write (default: name of the run)")
@@ -180,8 +179,7 @@ def add_plot(commands: argparse._SubParsersAction[Any]) -> None:
     plot.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
 
 
-def add_report(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_report(commands: argparse._SubParsersAction[Any]) -> None:
     report = commands.add_parser(
         "report",
         help="write a page of a run for the browser",
@@ -207,7 +205,7 @@ WITH_LOST = ("csv", "jsonl", "frames")
 """Formats that say of a box that its target is lost."""
 
 
-def export(options: argparse.Namespace) -> int:
+def _export(options: argparse.Namespace) -> int:
     """Write the file."""
     from bayesnet_track.runtime.recording.exports import FORMATS
     from bayesnet_track.runtime.recording.run_reader import open_run
@@ -281,8 +279,7 @@ DRAWS = 500
 FORMATS = ("mot", "coco", "csv", "jsonl", "frames", "world", "arviz")
 
 
-def add_export(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_export(commands: argparse._SubParsersAction[Any]) -> None:
     export = commands.add_parser("export", help="write a run in the format of another tool")
     export.add_argument("run", metavar="RUN", help="run directory")
     export.add_argument("--format", required=True, choices=FORMATS, help="format of the file")
@@ -306,3 +303,10 @@ def add_export(commands: argparse._SubParsersAction[Any]) -> None:
         help="statuses as the graph's guarantee allows now that the run is over",
     )
     export.add_argument("--overwrite", action="store_true", help="replace the file if it exists")
+
+
+COMMANDS = {
+    "report": (_add_report, _report),
+    "export": (_add_export, _export),
+    "plot": (_add_plot, _plot_run),
+}

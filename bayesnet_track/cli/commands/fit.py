@@ -163,7 +163,7 @@ BEFORE = ("sds", "policy", "fusion")
 """What changes the tracking, and is fitted before the rest."""
 
 
-def fit(options: argparse.Namespace) -> int:
+def _fit(options: argparse.Namespace) -> int:
     """Estimate, print or write."""
     from bayesnet_track.evaluate.calibration import SIGNS, leave_one_out
     from bayesnet_track.evaluate.calibration import fit_calibration as estimate
@@ -303,8 +303,7 @@ def _share(text: str) -> float:
     return value
 
 
-def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_fit(commands: argparse._SubParsersAction[Any]) -> None:
     fit = commands.add_parser("fit", help="fit a graph's score and regions to videos with ground truth")
     fit.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     fit.add_argument(
@@ -363,3 +362,6 @@ def add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         help="print how well a fit to the other videos calibrates each video, and write nothing",
     )
     add_plugins(fit)
+
+
+COMMANDS = {"fit": (_add_fit, _fit)}

@@ -38,7 +38,7 @@ SCENE_GRAPHS = {
 """Scenes that do not run with the graph `two_squares`."""
 
 
-def validate(options: argparse.Namespace) -> int:
+def _validate(options: argparse.Namespace) -> int:
     """Check graph files; all errors of all files."""
     from bayesnet_track.graph.text.explain import describe_error
     from bayesnet_track.graph.text.load import load_graph
@@ -75,7 +75,7 @@ def _opaque(graph: CheckedGraph) -> list[str]:
     ]
 
 
-def graph(options: argparse.Namespace) -> int:
+def _graph(options: argparse.Namespace) -> int:
     """Show plan, formula and picture of a graph."""
     from bayesnet_track.graph.text.load import load_graph
 
@@ -166,7 +166,7 @@ def _write(path: Path, content: bytes) -> None:
     say(f"wrote {path}")
 
 
-def schema(options: argparse.Namespace) -> int:
+def _schema(options: argparse.Namespace) -> int:
     """Print the JSON Schema of graph files."""
     import json
 
@@ -176,7 +176,7 @@ def schema(options: argparse.Namespace) -> int:
     return OK
 
 
-def list_installed(options: argparse.Namespace) -> int:
+def _list_installed(options: argparse.Namespace) -> int:
     """List graphs, cues, detectors and scenes."""
     from bayesnet_track.graphs import graph_folder, graphs_about
     from bayesnet_track.observation.cue import ENTRY_POINT_GROUP as CUES
@@ -210,15 +210,13 @@ def list_installed(options: argparse.Namespace) -> int:
     return OK
 
 
-def add_validate(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_validate(commands: argparse._SubParsersAction[Any]) -> None:
     validate = commands.add_parser("validate", help="check graph files; every error with line and column")
     validate.add_argument("graphs", nargs="+", metavar="GRAPH", help="path of a YAML file, or name")
     add_plugins(validate)
 
 
-def add_graph(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_graph(commands: argparse._SubParsersAction[Any]) -> None:
     graph = commands.add_parser("graph", help="show what a graph compiles to")
     graph.add_argument("graph", metavar="GRAPH", help="path of a YAML file, or name of an installed graph")
     graph.add_argument(
@@ -232,13 +230,11 @@ def add_graph(commands: argparse._SubParsersAction[Any]) -> None:
     add_plugins(graph)
 
 
-def add_schema(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_schema(commands: argparse._SubParsersAction[Any]) -> None:
     add_plugins(commands.add_parser("schema", help="print the JSON Schema of graph files, for editors"))
 
 
-def add_list(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_list(commands: argparse._SubParsersAction[Any]) -> None:
     listing = commands.add_parser("list", help="list the installed graphs, cues, detectors and scenes")
     listing.add_argument("word", nargs="?", metavar="WORD", help="only lines with this word (default: all)")
     add_plugins(listing)
@@ -255,7 +251,7 @@ NO_NAMES = frozenset({"null", "true", "false"})
 """Words that YAML takes for something else."""
 
 
-def init(options: argparse.Namespace) -> int:
+def _init(options: argparse.Namespace) -> int:
     """Copy a graph of the library."""
     from bayesnet_track.graph.checks.run import check
     from bayesnet_track.graph.text.load import read_graph
@@ -283,8 +279,7 @@ def init(options: argparse.Namespace) -> int:
     return OK
 
 
-def add_init(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_init(commands: argparse._SubParsersAction[Any]) -> None:
     parser = commands.add_parser(
         "init",
         help="write a commented graph, a copy of an installed one",
@@ -314,7 +309,7 @@ KINDS = {
 """Metavar or name of an argument -> what shtab completes there, or a function of the preamble."""
 
 
-def completion(options: argparse.Namespace) -> int:
+def _completion(options: argparse.Namespace) -> int:
     """Print the completion script of a shell."""
     import shtab
 
@@ -364,8 +359,7 @@ def actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
             yield action
 
 
-def add_completion(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_completion(commands: argparse._SubParsersAction[Any]) -> None:
     parser = commands.add_parser(
         "completion",
         help="print the script that completes commands, graphs, scenes and files in a shell",
@@ -378,3 +372,13 @@ def add_completion(commands: argparse._SubParsersAction[Any]) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("shell", choices=("bash", "zsh", "fish"), metavar="SHELL", help="bash, zsh or fish")
+
+
+COMMANDS = {
+    "validate": (_add_validate, _validate),
+    "graph": (_add_graph, _graph),
+    "schema": (_add_schema, _schema),
+    "list": (_add_list, _list_installed),
+    "init": (_add_init, _init),
+    "completion": (_add_completion, _completion),
+}

@@ -37,7 +37,7 @@ SHOWN = 5
 """How many of the examples that are left out are named."""
 
 
-def learn_shape(options: argparse.Namespace) -> int:
+def _learn_shape(options: argparse.Namespace) -> int:
     """Learn a model from the silhouettes of masks or boxes, write it, and say what it holds."""
     import numpy as np
 
@@ -129,8 +129,7 @@ def _write(path: Path, model: ShapeModel) -> None:
         save_model(path, model)
 
 
-def add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_learn_shape(commands: argparse._SubParsersAction[Any]) -> None:
     shape = commands.add_parser("learn-shape", help="learn a shape model from masks, or boxes on a video")
     shape.add_argument("out", metavar="MODEL", help="model file to write (.npz)")
     examples = shape.add_mutually_exclusive_group(required=True)
@@ -179,7 +178,7 @@ LEAST_SHARE = 0.01
 """Least standard deviation, as a share of its default: examples may agree to the last digit."""
 
 
-def learn_stereo(options: argparse.Namespace) -> int:
+def _learn_stereo(options: argparse.Namespace) -> int:
     """Collect the features at the true boxes, estimate how much they vary, print the agent for a graph."""
     import numpy as np
 
@@ -259,8 +258,7 @@ def _yaml(value: Any) -> str:
     return text.removesuffix("\n").removesuffix("\n...")
 
 
-def add_learn_stereo(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_learn_stereo(commands: argparse._SubParsersAction[Any]) -> None:
     stereo = commands.add_parser("learn-stereo", help="learn how much a target's depth features vary")
     stereo.add_argument("--source", required=True, help="video file, folder of images, or glob")
     add_depth_options(stereo)
@@ -287,3 +285,9 @@ def add_learn_stereo(commands: argparse._SubParsersAction[Any]) -> None:
         "--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of the cue, as YAML"
     )
     add_window_options(stereo)
+
+
+COMMANDS = {
+    "learn-shape": (_add_learn_shape, _learn_shape),
+    "learn-stereo": (_add_learn_stereo, _learn_stereo),
+}

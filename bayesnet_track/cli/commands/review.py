@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from bayesnet_track.runtime.recording.rundir import RunDirectory
 
 
-def log(options: argparse.Namespace) -> int:
+def _log(options: argparse.Namespace) -> int:
     """Tell a run's reconfigurations."""
     from bayesnet_track.journal.codec import to_json
     from bayesnet_track.journal.reader import read_events
@@ -172,7 +172,7 @@ def _check_node(directory: RunDirectory, node: str | None) -> None:
         raise UsageError(f"no node {node!r} in the run's graph; there are {', '.join(names)}{hint}")
 
 
-def score(options: argparse.Namespace) -> int:
+def _score(options: argparse.Namespace) -> int:
     """Score a run, or a file of tracks, against ground truth."""
     from bayesnet_track.evaluate.runs import score_run, tracks_of_run
     from bayesnet_track.evaluate.truth import is_mot
@@ -305,8 +305,7 @@ def _score_world(
     return OK
 
 
-def add_log(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_log(commands: argparse._SubParsersAction[Any]) -> None:
     log = commands.add_parser(
         "log", help="print every reconfiguration of a run as a sentence, with its reason"
     )
@@ -329,8 +328,7 @@ def add_log(commands: argparse._SubParsersAction[Any]) -> None:
     log.add_argument("--json", action="store_true", help="print the events as they are in the journal")
 
 
-def add_score(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_score(commands: argparse._SubParsersAction[Any]) -> None:
     score = commands.add_parser("score", help="score a run against ground truth")
     score.add_argument("run", metavar="RUN", help="run directory, or a file of tracks (MOT)")
     score.add_argument(
@@ -377,7 +375,7 @@ WITHOUT = {
 }
 
 
-def verify(options: argparse.Namespace) -> int:
+def _verify(options: argparse.Namespace) -> int:
     """Compare a run with its manifest."""
     from bayesnet_track.runtime.checkpoints.standing import verify
 
@@ -408,8 +406,7 @@ def _report(run: str, verified: Verified) -> None:
         say(f"{run}: verified: {len(verified.outputs)} files, result {verified.result}")
 
 
-def add_verify(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_verify(commands: argparse._SubParsersAction[Any]) -> None:
     verify = commands.add_parser(
         "verify",
         help="check that the files of a finished run are unchanged",
@@ -419,3 +416,6 @@ def add_verify(commands: argparse._SubParsersAction[Any]) -> None:
     )
     verify.add_argument("run", metavar="RUN", help="run directory")
     verify.add_argument("--json", action="store_true", help="print what was found as JSON")
+
+
+COMMANDS = {"log": (_add_log, _log), "score": (_add_score, _score), "verify": (_add_verify, _verify)}

@@ -48,17 +48,17 @@ if TYPE_CHECKING:
     from bayesnet_track.sources.scenes.library import SceneSource
 
 
-def demo(options: argparse.Namespace) -> int:
+def _demo(options: argparse.Namespace) -> int:
     """Track in a built-in scene, then tell what happened and how well it went."""
     from bayesnet_track.sources.scenes.people import ROOMS
 
     if options.scene in ROOMS:
         return _demo_room(options, ROOMS[options.scene])
     with open_view(options) as view:
-        return _demo(options, view)
+        return _demo_scene(options, view)
 
 
-def _demo(options: argparse.Namespace, view: LiveView | None) -> int:
+def _demo_scene(options: argparse.Namespace, view: LiveView | None) -> int:
     from bayesnet_track.engine.starts import has_births
     from bayesnet_track.evaluate.runs import score_run
     from bayesnet_track.graph.text.load import load_graph
@@ -173,8 +173,7 @@ def _say_world(directory: RunDirectory, truth: Path) -> None:
     say(f"\n{directory.csv} has places, speeds and their intervals; {truth.parent} the inputs")
 
 
-def add_demo(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_demo(commands: argparse._SubParsersAction[Any]) -> None:
     demo = commands.add_parser(
         "demo", help="track a target in a built-in synthetic scene; nothing to download"
     )
@@ -192,7 +191,7 @@ def add_demo(commands: argparse._SubParsersAction[Any]) -> None:
     add_plugins(demo)
 
 
-def resume(options: argparse.Namespace) -> int:
+def _resume(options: argparse.Namespace) -> int:
     """Go on with a run."""
     from bayesnet_track.runtime.checkpoints.resume import resume
     from bayesnet_track.runtime.checkpoints.standing import standing
@@ -240,8 +239,7 @@ def _expected(directory: RunDirectory) -> int | None:
     return first.declared_frames if isinstance(first, RunStarted) else None
 
 
-def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_resume(commands: argparse._SubParsersAction[Any]) -> None:
     resume = commands.add_parser(
         "resume",
         help="continue a run that was interrupted",
@@ -263,7 +261,7 @@ def add_resume(commands: argparse._SubParsersAction[Any]) -> None:
     add_view_options(resume)
 
 
-def smooth(options: argparse.Namespace) -> int:
+def _smooth(options: argparse.Namespace) -> int:
     """Smooth a run and write the result."""
     from bayesnet_track.runtime.recording.manifest import write_smoothed
     from bayesnet_track.runtime.recording.run_reader import open_run
@@ -286,8 +284,7 @@ def smooth(options: argparse.Namespace) -> int:
     return OK
 
 
-def add_smooth(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_smooth(commands: argparse._SubParsersAction[Any]) -> None:
     smooth = commands.add_parser(
         "smooth",
         help="estimate every frame of a finished run from the whole sequence",
@@ -318,7 +315,7 @@ def add_smooth(commands: argparse._SubParsersAction[Any]) -> None:
 FILES = ("png", "csv")
 
 
-def simulate(options: argparse.Namespace) -> int:
+def _simulate(options: argparse.Namespace) -> int:
     """Draw trajectories, print how far they go, and write picture and CSV."""
     from bayesnet_track.engine.simulating import Simulation
     from bayesnet_track.engine.simulating import simulate as draw
@@ -411,8 +408,7 @@ def _first_frame(options: argparse.Namespace) -> Frame:
         raise SourceError(source.description, f"no frame {options.start}", "a readable frame", "--start N")
 
 
-def add_simulate(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_simulate(commands: argparse._SubParsersAction[Any]) -> None:
     simulate = commands.add_parser(
         "simulate",
         help="draw trajectories from a graph's prior over the first frame",
@@ -443,3 +439,9 @@ def add_simulate(commands: argparse._SubParsersAction[Any]) -> None:
     add_range_option(simulate)
     add_set_option(simulate)
     add_plugins(simulate)
+
+
+COMMANDS = {
+    "demo": (_add_demo, _demo), "resume": (_add_resume, _resume),
+    "smooth": (_add_smooth, _smooth), "simulate": (_add_simulate, _simulate),
+}  # fmt: skip

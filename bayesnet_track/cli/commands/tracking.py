@@ -215,12 +215,12 @@ NO_START = (
 )
 
 
-def run(options: argparse.Namespace) -> int:
+def _run(options: argparse.Namespace) -> int:
     """Track in a video, with --seeds as often as there are seeds."""
     if options.out is None:
         options.out = str(free_folder(f"runs/{Path(options.graph).stem}", options.overwrite))
     if options.seeds is not None:
-        return run_seeds(options, run)
+        return run_seeds(options, _run)
     if options.truth is not None:
         raise UsageError("--truth is for --seeds; `score RUN --truth FILE` scores one run")
     from bayesnet_track.engine.starts import has_births
@@ -371,8 +371,7 @@ def executor_of(options: argparse.Namespace) -> Executing:
     )
 
 
-def add_run(commands: argparse._SubParsersAction[Any]) -> None:
-    """Add the command."""
+def _add_run(commands: argparse._SubParsersAction[Any]) -> None:
     run = commands.add_parser(
         "run",
         help="track targets in a video with a graph",
@@ -444,3 +443,6 @@ def add_run(commands: argparse._SubParsersAction[Any]) -> None:
     add_run_options(run)
     add_view_options(run)
     add_plugins(run)
+
+
+COMMANDS = {"run": (_add_run, _run)}

@@ -75,7 +75,7 @@ _BY_REASON: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
         SYSTEM: (
             "cli.batch.places._memory",
-            "cli.commands.graphs.init",
+            "cli.commands.graphs._init",
             "cli.doctor.check_package",
             "cli.doctor._installed",
             "runtime.executors.worker.own_bytes",
