@@ -23,6 +23,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.lifecycle.existing import MarginalAssociation
 from bayesnet_track.engine.lifecycle.sensing import Found, Sensor
 from bayesnet_track.engine.lifecycle.viewing import PointingShift, ViewSensor
 from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
@@ -213,6 +214,18 @@ class Watched:
         if not isinstance(sensor, ViewSensor) or (clocks is None and not self.shifts):
             return sensor
         return evolve(sensor, clocks=clocks, shift=self.shifts.get(sensor.view.seen_by))
+
+    @staticmethod
+    def check(
+        sensor: Sensor,
+        moments: tuple[Floats, Floats],
+        detections: Found,
+        association: MarginalAssociation,
+    ) -> dict[str, dict[str, float]]:
+        """Camera -> how far its detections are from where targets were expected; nothing of other sensors."""
+        if not isinstance(sensor, ViewSensor) or not len(moments[0]):
+            return {}
+        return {sensor.view.seen_by: sensor.check(*moments, detections, association.mixed)}
 
     def move_target(self, target: TargetState) -> TargetState:
         """A target with what is new."""

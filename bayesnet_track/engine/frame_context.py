@@ -99,6 +99,7 @@ class FrameContext:
         faults: (target, what its agents were asked for in a group) -> agent -> what was wrong; a target that
             goes by itself then does not ask these agents again.
         seconds: agent (or planes, belief, measure, learn, life, joins) -> seconds, added up here.
+        cameras: camera -> how far its detections are from where targets were expected, put here.
     """
 
     engine: Engine
@@ -109,6 +110,7 @@ class FrameContext:
     by_hand: Mapping[str, tuple[ByHand, ...]] = field(default_factory=dict)
     faults: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
+    cameras: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def frame(self) -> Frame:

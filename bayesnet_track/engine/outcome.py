@@ -70,6 +70,7 @@ class Outcome:
         external_inputs: what came from outside: given again with this frame, it repeats.
         heard: target id -> what its agents said.
         answers: answers to the queries of the graph, in its order.
+        cameras: camera -> how far its detections were from where targets were expected.
     """
 
     state: State
@@ -80,6 +81,7 @@ class Outcome:
     external_inputs: tuple[Input, ...] = ()
     heard: Mapping[str, AgentMessages] = field(default_factory=dict)
     answers: tuple[Answers, ...] = ()
+    cameras: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
 
 def carry_out(work: FrameContext, state: State, results: Results, joint: JointBelief) -> Outcome:

@@ -108,7 +108,8 @@ def step(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[I
     batch = _open_frame(engine, state, frame, external_inputs)
     for stage in engine.stages:
         batch = stage.run(batch)
-    return with_external_inputs(batch.outcome, batch.inputs)
+    outcome = evolve(batch.outcome, cameras=batch.work.cameras) if batch.work.cameras else batch.outcome
+    return with_external_inputs(outcome, batch.inputs)
 
 
 def make_engine(

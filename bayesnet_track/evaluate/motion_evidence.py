@@ -208,3 +208,156 @@ def _merge(means: Floats, spreads: Floats, log: Floats) -> tuple[Floats, Floats,
 def _log(values: Floats) -> Floats:
     with np.errstate(divide="ignore"):
         return np.log(values)
+
+
+RIGHT = 0.8, 1.25
+"""A ratio of innovations to their covariance between these is right, also where its interval excludes 1."""
+
+
+@dataclass(frozen=True)
+class NoiseRatio:
+    """Normalised innovations squared per degree of freedom: 1 where prediction and noise are right.
+
+    Attributes:
+        ratio: of all frames.
+        low: lower bound of its 95 % interval.
+        high: upper bound.
+        correlation: by how much the sum varies more than that of independent innovations.
+        noise: share that the detections' noise has of the expected innovations.
+    """
+
+    ratio: float
+    low: float
+    high: float
+    correlation: float
+    noise: float
+
+    @classmethod
+    def estimate(cls, nis: Floats, dof: Floats, noise: Floats) -> NoiseRatio:
+        """Ratio of frames (N,) in order, by sums over blocks of them.
+
+        The sum of independent ones is a chi-square of as many degrees nu. It varies by c times as much where
+        the sums of blocks do, c >= 1; as a chi-square of nu / c degrees, scaled, is it taken.
+        """
+        from scipy.special import gammaincinv
+
+        blocks = _blocks_of(len(nis))
+        count, total = int(blocks[-1]) + 1, float(dof.sum())
+        ratio = float(nis.sum()) / total
+        excess = np.bincount(blocks, nis - ratio * dof)
+        variance = count / (count - 1) * float(excess @ excess) / total**2
+        correlation = max(1.0, variance / (2.0 * ratio**2 / total))
+        degrees = total / correlation
+        high, low = (degrees / (2.0 * gammaincinv(degrees / 2.0, tail)) for tail in (0.025, 0.975))
+        return cls(ratio, ratio * low, ratio * high, correlation, float(noise.sum()) / total)
+
+    @property
+    def is_right(self) -> bool:
+        """True if the interval holds 1, or the ratio is close to it."""
+        return self.low <= 1.0 <= self.high or RIGHT[0] <= self.ratio <= RIGHT[1]
+
+    def factor_of(self, share: float) -> float:
+        """Factor of an sd that has this share of the expected innovations, for a ratio of about 1.
+
+        Where it is too large, the uncertainty of the prediction grew with it: all of S scales. Where it is
+        too small, the other part stays as it is.
+        """
+        scale = self.ratio if self.ratio < 1.0 else 1.0 + (self.ratio - 1.0) / max(share, 0.05)
+        return float(scale**0.5)
+
+    def describe(self) -> str:
+        """The ratio with its interval, and the verdict."""
+        verdict = (
+            "as stated" if self.is_right else f"{'larger' if self.ratio > 1.0 else 'smaller'} than stated"
+        )
+        return f"{self.ratio:.2f} [{self.low:.2f}, {self.high:.2f}] ({verdict})"
+
+
+def _blocks_of(count: int) -> NDArray[np.int64]:
+    """(N,) the block of each of N frames: thirty at most, of ten frames at least."""
+    limit = max(2, min(30, count // 10))
+    return np.minimum(np.arange(count) * limit // max(count, 1), limit - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class MeanInnovation:
+    """Mean innovation of places in a camera over a run.
+
+    Attributes:
+        px: (2,) the mean of x and y, weighted by information.
+        sd: (2,) its standard errors, by blocks of frames.
+        memory: the larger correlation of x or y in a frame with that in the next.
+        squared: (N,) by how much the mean raises the normalised innovations squared of each frame.
+    """
+
+    px: Floats
+    sd: Floats
+    memory: float
+    squared: Floats
+
+    @classmethod
+    def estimate(cls, innovations: Floats, information: Floats) -> MeanInnovation:
+        """Mean of innovations (N, 2) in px of frames in order, with their information (N, 2, 2), px^-2."""
+        inverse = np.linalg.inv(information.sum(axis=0))
+        mean = inverse @ np.einsum("nij,nj->i", information, innovations)
+        blocks, offsets = _blocks_of(len(innovations)), innovations - mean
+        count = int(blocks[-1]) + 1
+        excess = np.zeros((count, 2))
+        np.add.at(excess, blocks, np.einsum("nij,nj->ni", information, offsets))
+        spread = count / (count - 1) * inverse @ (excess.T @ excess) @ inverse
+        is_there = information[:, 0, 0] > 0.0
+        follows = is_there[1:] & is_there[:-1]
+        products = (offsets[1:] * offsets[:-1])[follows].sum(axis=0) / max(int(follows.sum()), 1)
+        memory = float((products / np.maximum((offsets[is_there] ** 2).mean(axis=0), 1e-12)).max())
+        squared = np.einsum("i,nij,nj->n", mean, information, 2.0 * innovations - mean)
+        return cls(mean, np.sqrt(np.diag(spread)), memory, squared)
+
+
+CORRELATED = 0.3
+"""In drawn rooms, whose detections have white noise, mean innovations are correlated by .2 at most."""
+CORRELATED_TEXT = (
+    "; errors last, with a correlation of {:.2f} from one step to the next: targets follow them, so that the "
+    "ratios are too small, and less noise would make ellipses too small"
+)
+
+
+@dataclass(frozen=True)
+class CameraCheck:
+    """Innovations of a camera over a run: detections less where targets were expected.
+
+    Attributes:
+        camera: its name.
+        detections: expected number of them that are of targets.
+        targets: targets that were expected in its image, over all frames.
+        missed: share that it has of the misses of all cameras.
+        x_px, y_px: mean innovation to the right and down, px; what is left of a bias.
+        x_sd, y_sd: their standard errors, by blocks of frames.
+        place: x and y, less their means.
+        size: w and h.
+        memory: the larger correlation of mean innovations, x or y, from one step to the next.
+        settings: what to try.
+    """
+
+    camera: str
+    detections: float
+    targets: float
+    missed: float
+    x_px: float
+    x_sd: float
+    y_px: float
+    y_sd: float
+    place: NoiseRatio
+    size: NoiseRatio
+    memory: float
+    settings: tuple[str, ...] = ()
+
+    def describe(self) -> str:
+        """All of it in a line."""
+        share = 1.0 - self.detections / max(self.targets, 1e-9)
+        return (
+            f"camera {self.camera}: innovations squared per degree of freedom: places "
+            f"{self.place.describe()}, sizes {self.size.describe()}; bias left {self.x_px:+.2f} ± "
+            f"{self.x_sd:.2f} px across, {self.y_px:+.2f} ± {self.y_sd:.2f} px down; {share:.0%} of targets "
+            f"in its image had no detection, {self.missed:.0%} of the misses of all cameras"
+            + (CORRELATED_TEXT.format(self.memory) if self.memory > CORRELATED else "")
+        )

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
 
 Columns = Mapping[str, NDArray[Any]]
-"""Name -> its values: ``frame`` and ``time_s`` (), boxes (4, T), all others (T,)."""
+"""Name -> its values: ``frame`` and ``time_s`` (), boxes (4, T), ``cameras/NAME`` (13,), all others (T,)."""
 
 _ABSENT_BITS = {2: 0x7F00, 4: 0x7FE0_0000, 8: 0x7FFC_0000_0000_0000}
 """By the bytes of a number: the same NaN in half, single and double precision."""
@@ -50,6 +50,19 @@ _LARGEST, _LEAST = 3e38, 1.2e-38
 _LARGEST_HALF, _LEAST_HALF = 65_000.0, 6.2e-5
 _BETWEEN = 1e-4
 """Of a region, px and parts of its sd: as far as it may be from a Gaussian's to count as that."""
+
+
+CAMERA_NUMBERS = (
+    *("targets", "detections", "place_nis", "place_dof", "place_noise", "size_nis", "size_dof", "size_noise"),
+    *("x_px", "y_px", "xx", "xy", "yy"),
+)
+"""Numbers of a camera that sees targets on the ground, in the order of its column, ``cameras/NAME``.
+
+`targets` are those expected in its image, `detections` the sum of the probabilities w that one is a target's.
+Of places (x, y) and of sizes (w, h): the sum of w nu' S^-1 nu of innovations nu, their degrees of freedom,
+and the part of these that the detections' noise is of S. Last the mean innovation of places, px, weighted by
+w S^-1, and the sums of these weights, px^-2.
+"""
 
 
 def columns_of(lines: Sequence[FrameMetrics], hypotheses: bool = True) -> dict[str, NDArray[Any]]:

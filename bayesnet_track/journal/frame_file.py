@@ -299,7 +299,7 @@ def _of_target(columns: Columns, target: str) -> Columns:
             ends = np.cumsum(columns["cloud_count"])
             spans = [np.arange(ends[row] - columns["cloud_count"][row], ends[row]) for row in rows]
             column = column[:, np.concatenate([np.arange(0), *spans])]
-        elif column.ndim:
+        elif column.ndim and not name.startswith("cameras/"):
             if column.shape[-1] != len(names):
                 raise ValueError(f"{name} of shape {column.shape}, not of {len(names)} targets")
             column = column[..., rows]

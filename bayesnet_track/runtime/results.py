@@ -189,6 +189,8 @@ class Result:
         births: target id -> what its draws are keyed by (`numerics.streams.birth_key`).
         plates: names of all plates of the graph, in its order; empty where unknown.
         queries: query -> its answers, by target or pair; in pixels of the frames tracked in.
+        cameras: camera that sees targets on the ground -> its innovations, as columns ``cameras/NAME/...`` of
+            the file of frames have them.
     """
 
     frame: Frame
@@ -204,6 +206,7 @@ class Result:
     births: Mapping[str, str] = field(default_factory=dict)
     plates: tuple[str, ...] = ()
     queries: Mapping[str, Answers] = field(default_factory=dict)
+    cameras: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def detections(self, lost: bool = False) -> Detections:
         """The targets' boxes in the shape of supervision's; `lost` for those of lost targets, too."""

@@ -254,6 +254,7 @@ def _result(
         outcome.state.history.births,
         plates,
         {answer.query: answer for answer in outcome.answers},
+        outcome.cameras,
     )
 
 

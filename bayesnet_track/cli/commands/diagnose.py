@@ -8,11 +8,15 @@ from dataclasses import asdict, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from bayesnet_track.cli.arguments import OK, UsageError, complain, say
+from bayesnet_track.evaluate.motion_evidence import CORRELATED, CameraCheck, MeanInnovation, NoiseRatio
 
 if TYPE_CHECKING:
     from bayesnet_track.cli.findings import Finding
     from bayesnet_track.journal.events.faults import Quarantined
+    from bayesnet_track.numerics.arrays import Floats
     from bayesnet_track.runtime.recording.run_reader import Run
 
 
@@ -161,6 +165,85 @@ def names_of(text: str, plate: str, agent: str | None = None) -> Mapping[str, st
     return names
 
 
+def judge_cameras(run: Run) -> list[CameraCheck]:
+    """The innovations of each camera that sees targets on the ground, in the order of the graph."""
+    from bayesnet_track.journal.frame_columns import CAMERA_NUMBERS
+    from bayesnet_track.journal.frame_file import FrameFile
+
+    if "\ncameras:" not in run.graph_text:
+        return []
+    rows: dict[str, list[Floats]] = {}
+    for columns in FrameFile(run.directory.frames).columns():
+        for name, column in columns.items():
+            if name.startswith("cameras/"):
+                rows.setdefault(name.partition("/")[2], []).append(column.astype(np.float64))
+    frames = {
+        camera: dict(zip(CAMERA_NUMBERS, np.array(numbers).T, strict=True))
+        for camera, numbers in rows.items()
+        if len(numbers) >= FEW_STEPS
+    }
+    sums = {name: (numbers["targets"] - numbers["detections"]).sum() for name, numbers in frames.items()}
+    misses = {name: max(float(count), 0.0) for name, count in sums.items()}
+    total = max(sum(misses.values()), 1e-9)
+    return [
+        _check_camera(run, camera, frames[camera], misses[camera] / total)
+        for camera in run.spec.cameras
+        if camera in frames and frames[camera]["place_dof"].sum() > FEW_DEGREES
+    ]
+
+
+FEW_STEPS, FEW_DEGREES = 50, 30.0
+"""Below so many steps, or degrees of freedom, nothing is said of a camera."""
+
+
+def _check_camera(run: Run, camera: str, numbers: Mapping[str, Floats], missed: float) -> CameraCheck:
+    information = np.stack([numbers[name] for name in ("xx", "xy", "xy", "yy")], axis=1).reshape(-1, 2, 2)
+    bias = MeanInnovation.estimate(np.stack([numbers["x_px"], numbers["y_px"]], axis=1), information)
+    (x_px, y_px), (x_sd, y_sd) = bias.px.tolist(), bias.sd.tolist()
+    place = NoiseRatio.estimate(
+        numbers["place_nis"] - bias.squared, numbers["place_dof"], numbers["place_noise"]
+    )
+    size = NoiseRatio.estimate(numbers["size_nis"], numbers["size_dof"], numbers["size_noise"])
+    sums = float(numbers["detections"].sum()), float(numbers["targets"].sum())
+    check = CameraCheck(camera, *sums, missed, x_px, x_sd, y_px, y_sd, place, size, bias.memory)
+    return replace(check, settings=tuple(_settings_of(run, check)))
+
+
+def _settings_of(run: Run, check: CameraCheck) -> Iterator[str]:
+    """Settings of the camera's detections, or of the motion, with which innovations would be as stated.
+
+    Where places alone are not, it is the motion: an error of detections shows in sizes, too.
+    """
+    ratios = {"place": check.place, "size": check.size}
+    wrong = {part: ratio for part, ratio in ratios.items() if not ratio.is_right}
+    if check.memory > CORRELATED:
+        wrong = {part: ratio for part, ratio in wrong.items() if ratio.ratio > 1.0}
+    for plate in _types(run.graph_text).values():
+        nodes = plate["nodes"]
+        named = {name: node["camera"] for name, node in nodes.items() if "camera" in node}
+        lists = {name: value if isinstance(value, list) else [value] for name, value in named.items()}
+        views = [name for name, cameras in lists.items() if check.camera in cameras]
+        root = next(name for name, node in nodes.items() if "parent" not in node)
+        motion = nodes[root].get("motion")
+        speed = motion.get("constant_velocity", {}).get("sd_velocity") if isinstance(motion, dict) else None
+        for name in (name for name, node in nodes.items() if views and node.get("parent") in views):
+            agent = nodes[name].get("agent")
+            detection = agent.get("detection") or {} if isinstance(agent, dict) else {}
+            if "place" in wrong and "size" not in wrong and speed:
+                factor = check.place.factor_of(1.0 - check.place.noise)
+                yield f"{root}.motion.constant_velocity.sd_velocity={speed * factor:.2g}"
+                continue
+            for part, ratio in wrong.items():
+                for key in (f"sd_{part}", f"sd_{part}_px"):
+                    if value := detection.get(key):
+                        yield f"{name}.agent.detection.{key}={value * ratio.factor_of(ratio.noise):.2g}"
+    source = run.spec.cameras[check.camera]
+    for mean, sd in ((check.x_px, check.x_sd), (check.y_px, check.y_sd)):
+        stated = 0.0 if source.bias_px is None else source.bias_px.sd
+        if abs(mean) > 3.0 * sd and abs(mean) > max(stated, 1.0):
+            yield f"cameras.{check.camera}.bias_px.sd={abs(mean):.2g}"
+
+
 ONE_BY_ONE = 3
 """Of more targets than this, findings that are alike are printed once."""
 SHOWN_TARGETS = 8
@@ -173,6 +256,7 @@ UNTRIED = (
 def _diagnose(options: argparse.Namespace) -> int:
     """Print what stands out, target by target."""
     import json
+    from shlex import quote
 
     from bayesnet_track.journal.events.cameras import CameraKnocked
     from bayesnet_track.runtime.recording.run_reader import open_run
@@ -183,10 +267,13 @@ def _diagnose(options: argparse.Namespace) -> int:
         raise UsageError(f"{options.run}: no target {options.target!r}; there are {targets}")
     findings = list(find_all(run, options.target))
     knocks = [event for event in run.events if options.target is None and isinstance(event, CameraKnocked)]
+    checks = [] if options.target is not None else judge_cameras(run)
     if options.json:
         cameras = [asdict(event) for event in knocks]
+        innovations = [asdict(check) for check in checks]
         findings_json = [advise(run, finding) for finding in findings]
-        say(json.dumps({"run": str(options.run), "findings": findings_json, "cameras": cameras}))
+        tables = {"findings": findings_json, "cameras": cameras, "innovations": innovations}
+        say(json.dumps({"run": str(options.run), **tables}))
         return OK
     if options.try_settings:
         return _try_all(options, run, findings)
@@ -194,6 +281,12 @@ def _diagnose(options: argparse.Namespace) -> int:
         say(event.describe())
         say(f"  look  bayesnet-track log {options.run} --why {event.frame}")
     tried = False
+    for check in checks:
+        say(check.describe())
+        if check.settings:
+            tried = True
+            sets = " ".join(f"--set {quote(setting)}" for setting in check.settings)
+            say(f"  try   bayesnet-track what-if {options.run} {sets}")
     for group in _grouped(run, findings):
         advice = advise(run, group[0])
         tried |= advice["try"] is not None or bool(advice["settings"])
@@ -202,7 +295,7 @@ def _diagnose(options: argparse.Namespace) -> int:
             say("\n".join(_other_targets(options.run, [finding.target for finding in group[1:]])))
     if tried:
         say(UNTRIED)
-    elif not findings and not knocks:
+    elif not findings and not knocks and not checks:
         say(
             "nothing stands out. That a run agrees with itself does not show that the boxes are right: "
             f"`bayesnet-track score {options.run} --truth FILE` does"

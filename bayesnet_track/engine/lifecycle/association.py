@@ -275,6 +275,7 @@ class Several:
             model = detection_model.by(sensor)
             links[agent] = associate_marginal(rule, frames.current, crowd, model, looks[agent])
             detection_model = detection_model.after(sensor, links[agent].detection_model)
+            self.work.cameras.update(watched.check(rule.sensor, crowd.moments, looks[agent], links[agent]))
             crowd = evolve(crowd, existence=links[agent].existence)
             if agent != last_agent:
                 crowd = after_look(rule, crowd, looks[agent], links[agent])

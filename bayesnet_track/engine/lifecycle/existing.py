@@ -66,6 +66,11 @@ class Crowd:
     modes: Mapping[int, ExpectedInModes] = field(default_factory=dict)
     values: Floats | None = None
 
+    @property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Means and covariances."""
+        return self.mean, self.covariance
+
 
 @dataclass(frozen=True, eq=False)
 class MarginalAssociation:
@@ -88,6 +93,11 @@ class MarginalAssociation:
     missed: Floats
     owner: Ints
     detection_model: DetectionModel
+
+    @property
+    def mixed(self) -> Mixed:
+        """The same, for an update."""
+        return Mixed(self.starts, self.columns, self.weights, self.missed)
 
 
 def expect_crowd(
@@ -209,12 +219,7 @@ def _seen_by(rule: CrowdRule, prior: Presence, posterior: Presence) -> Presence:
 def after_look(rule: CrowdRule, crowd: Crowd, detections: Found, association: MarginalAssociation) -> Crowd:
     """The crowd as a further sensor expects it in the same frame."""
     mean, covariance = crowd.mean.copy(), crowd.covariance.copy()
-    rule.sensor.mix(
-        mean,
-        covariance,
-        detections,
-        Mixed(association.starts, association.columns, association.weights, association.missed),
-    )
+    rule.sensor.mix(mean, covariance, detections, association.mixed)
     return evolve(crowd, mean=mean, covariance=covariance)
 
 

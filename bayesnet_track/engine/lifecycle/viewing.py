@@ -7,6 +7,7 @@ R), R that of a detection of the box h(m). A target that starts stands where its
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -208,6 +209,61 @@ class ViewSensor:
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=2), np.inf)
         half = np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
         return d2, -0.5 * d2 - half
+
+    def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
+        """Innovations of detections of targets that were expected as N(mean, covariance), in a few sums.
+
+        Innovations nu, (T, 4), have the covariance S of the prediction and the detection's error R, given the
+        lasting errors of cameras b: with C = Cov(nu, b) it is S - C P_bb^-1 C'. Each pair counts with the
+        probability w that the detection is the target's: the mean of w nu' S^-1 nu is then that of w times
+        the degrees of freedom, where R is right. An edge that was cut takes one of those of its axis.
+
+        `targets`: number of those expected in the image; `detections`: sum of w. Of places (x, y) and sizes
+        (w, h) each: `nis`, sum of w nu' S^-1 nu; `dof`, its degrees of freedom; `noise`, the part of them
+        that R is of S. `x_px`, `y_px`: mean innovation, weighted by w S^-1, and `xx`, `xy`, `yy`: the
+        sums of these weights, px^-2.
+        """
+        camera, size = self.view.camera, self.view.camera.size
+        expected = self.expect(mean, covariance)
+        visible = expected.is_known.copy()
+        if size is not None:
+            visible &= ((expected.values[:, :2] >= 0.0) & (expected.values[:, :2] < size)).all(axis=1)
+        rows = np.repeat(np.arange(len(mean)), np.diff(mixed.starts))
+        pairs = np.flatnonzero(expected.is_known[rows] & (mixed.weights > 0.0))
+        rows, columns, weights = rows[pairs], mixed.columns[pairs], mixed.weights[pairs]
+        innovations = detections.values[columns] - expected.values[rows]
+        errors = self.association.variances(self.boxes(mean, self.agent))[rows]
+        cut = cut_covariance(camera, detections.values)[columns]
+        spread = expected.spread[rows] + errors[:, :, None] * np.eye(WIDTH) + cut
+        first = mean.shape[1] - len(self.views.lasting)
+        if lasting := [first + k for k, error in enumerate(self.views.lasting) if error.is_shared]:
+            cross, errors_of = expected.cross[rows][:, lasting], covariance[np.ix_(rows, lasting, lasting)]
+            spread = spread - np.swapaxes(cross, 1, 2) @ np.linalg.solve(errors_of, cross)
+        free = 1.0 * (np.diagonal(cut, axis1=1, axis2=2) == 0.0) * weights[:, None]
+        precisions = free / np.diagonal(spread, axis1=1, axis2=2)
+        numbers = {"targets": float(visible.sum()), "detections": float(weights.sum())}
+        for part, axes in (("place", slice(0, 2)), ("size", slice(2, 4))):
+            offset = innovations[:, axes]
+            scaled = np.linalg.solve(spread[:, axes, axes], offset[:, :, None])[:, :, 0]
+            numbers[f"{part}_nis"] = float(weights @ (offset * scaled).sum(axis=1))
+            numbers[f"{part}_dof"] = float(free[:, axes].sum()) * self.share_gated
+            numbers[f"{part}_noise"] = float((precisions * errors)[:, axes].sum())
+        inverses = weights[:, None, None] * np.linalg.inv(spread[:, :2, :2])
+        information = inverses.sum(axis=0)
+        pull = np.einsum("kij,kj->i", inverses, innovations[:, :2])
+        mean_px = np.linalg.solve(information, pull) if len(pairs) else np.zeros(2)
+        numbers |= {"x_px": float(mean_px[0]), "y_px": float(mean_px[1])}
+        numbers |= {"xx": float(information[0, 0]), "xy": float(information[0, 1])}
+        numbers["yy"] = float(information[1, 1])
+        return numbers
+
+    @cached_property
+    def share_gated(self) -> float:
+        """E[d^2 | d^2 <= q] / 4 of a chi-square of 4 degrees that the gate cuts at q."""
+        from scipy.special import gammainc
+
+        half = chi_square_quantile(self.association.gate, WIDTH) / 2.0
+        return float(gammainc(WIDTH / 2 + 1, half) / gammainc(WIDTH / 2, half)) if np.isfinite(half) else 1.0
 
     @property
     def bias_sd(self) -> float:

@@ -23,7 +23,7 @@ from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.events.event import Event, Input
-from bayesnet_track.journal.frame_columns import lines_of
+from bayesnet_track.journal.frame_columns import CAMERA_NUMBERS, lines_of
 from bayesnet_track.journal.frame_file import FrameFile, FrameWriter
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.writer import (
@@ -300,6 +300,8 @@ class Recorder:
             self._take(result.external_inputs)
         if result.targets:
             columns, tracked = measured(result.targets, self._hypotheses)
+            for camera, numbers in result.cameras.items():
+                columns[f"cameras/{camera}"] = np.array([numbers[name] for name in CAMERA_NUMBERS], "<f4")
             self._frames.write_columns(columns)
             if self._mot is not None:
                 self._mot.write(tracked)
