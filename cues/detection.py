@@ -252,15 +252,13 @@ class Detection:
         if detections is None or len(detections) == 0:
             return None
         width = len(self.parameters.sd) or len(FIELDS)
+        values = detections[:, :width]
         if detections.shape[1] == width + 1:
-            return self._labelled(self._measured(detections[0, :width]), reference, 0)
+            return self._labelled(self._measured(values[:1])[0], reference, 0)
         weights = detections[:, width + 1]
-        choices = tuple(
-            (float(weight), self._labelled(self._measured(values), reference, row))
-            for row, (weight, values) in enumerate(zip(weights, detections[:, :width], strict=True))
-        )
-        middle = self._measured(weights @ detections[:, :width] / weights.sum())
-        return replace(middle, choices=choices)
+        middle, *measured = self._measured(np.concatenate([(weights @ values / weights.sum())[None], values]))
+        choices = (self._labelled(choice, reference, row) for row, choice in enumerate(measured))
+        return replace(middle, choices=tuple(zip(weights.tolist(), choices, strict=True)))
 
     def _labelled(self, measured: Measurement, reference: Reference, row: int) -> Measurement:
         """The measurement with what the detection's label says of the target."""
@@ -270,11 +268,13 @@ class Detection:
         label = Label(next(iter(self.parameters.confusion)), log[row, :-1], float(log[row, -1]))
         return replace(measured, label=label)
 
-    def _measured(self, values: Floats) -> Measurement:
-        mean, sd, floor = np.array(values, dtype=np.float64), self.parameters.sd, self.parameters.floor
-        if sd:
-            return Measurement(tuple(sd), mean, np.diag(np.array([*sd.values()]) ** 2), floor)
-        return Measurement(FIELDS, mean, np.diag(self.rule.variances(mean)), floor)
+    def _measured(self, values: Floats) -> list[Measurement]:
+        """Measurements of values (N, K)."""
+        means, sd, floor = np.array(values, dtype=np.float64), self.parameters.sd, self.parameters.floor
+        fields = tuple(sd) or FIELDS
+        variances = np.array([*sd.values()]) ** 2 if sd else self.rule.variances(means)[:, :, None]
+        covariances = np.broadcast_to(variances * np.eye(len(fields)), (len(means), len(fields), len(fields)))
+        return [Measurement(fields, *row, floor) for row in zip(means, covariances, strict=True)]
 
 
 def _quantities(parameters: Any) -> tuple[str, ...]:

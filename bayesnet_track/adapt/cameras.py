@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -251,25 +252,36 @@ class Offsets:
         """With those of a frame (T, 2)."""
         return Offsets(self.names, np.concatenate([self.recent[:, 1:], offsets[:, None]], axis=1))
 
-    @property
+    @cached_property
     def means(self) -> Floats:
         """(T, 2) means of the last frames; 0 of targets without an offset."""
-        return np.nan_to_num(_mean(self.recent[:, -LENGTHS[-1] :], 1))
+        return np.nan_to_num(self._mean(slice(-LENGTHS[-1], None), 1))
 
-    def changes(self, length: int) -> Floats:
-        """(N, 2) means of the last offsets less those before, of targets that have at least half of each."""
-        width = min(max(2 * length, 4), LENGTHS[-1])
-        means = _mean(self.recent[:, -length:], (length + 1) // 2)
-        change = means - _mean(self.recent[:, -length - width : -length], width // 2)
-        return change[np.isfinite(change[:, 0])]
+    @cached_property
+    def changes(self) -> Sequence[Floats]:
+        """(N, 2) for each of `LENGTHS`: means of the last offsets less those before.
 
+        Of targets that have at least half of each.
+        """
+        changes = []
+        for length in LENGTHS:
+            width = min(max(2 * length, 4), LENGTHS[-1])
+            change = self._mean(slice(-length, None), (length + 1) // 2)
+            change = change - self._mean(slice(-length - width, -length), width // 2)
+            changes.append(change[np.isfinite(change[:, 0])])
+        return changes
 
-def _mean(offsets: Floats, fewest: int) -> Floats:
-    """(T, 2) means over frames of (T, L, 2); nan of targets that have fewer than so many."""
-    is_there = np.isfinite(offsets[:, :, 0])
-    count = is_there.sum(axis=1)
-    total = np.where(is_there[:, :, None], offsets, 0.0).sum(axis=1)
-    return np.where((count >= fewest)[:, None], total / np.maximum(count, 1)[:, None], np.nan)
+    @cached_property
+    def _filled(self) -> tuple[Bools, Floats]:
+        """(T, 16) whether a target had a detection, and (T, 16, 2) the offsets, 0 without one."""
+        is_there = np.isfinite(self.recent[:, :, 0])
+        return is_there, np.where(is_there[:, :, None], self.recent, 0.0)
+
+    def _mean(self, frames: slice, fewest: int) -> Floats:
+        """(T, 2) means over some frames; nan of targets that have fewer offsets than so many."""
+        is_there, filled = self._filled
+        count, total = is_there[:, frames].sum(axis=1), filled[:, frames].sum(axis=1)
+        return np.where((count >= fewest)[:, None], total / np.maximum(count, 1)[:, None], np.nan)
 
 
 @dataclass(frozen=True)
@@ -363,8 +375,7 @@ class Watch:
         """
         likeliest: Knock | None = None
         by_length = self.spread * (1.0 + SETTLED / max(self.looks, 1))  # as known from so many frames
-        for length, spread in zip(LENGTHS, by_length.tolist(), strict=True):
-            changes = self.offsets.changes(length)
+        for length, spread, changes in zip(LENGTHS, by_length.tolist(), self.offsets.changes, strict=True):
             if len(changes) < 2 or self.looks < SETTLED:
                 continue
             mean, count = changes.mean(axis=0), len(changes)
@@ -383,8 +394,7 @@ class Watch:
             return self._learn_shift()
         spread, has_changes = self.spread.copy(), False
         share = max(FORGET, 1.0 / (self.looks + 1.0))
-        for k, length in enumerate(LENGTHS):
-            changes = self.offsets.changes(length)
+        for k, changes in enumerate(self.offsets.changes):
             if len(changes) >= 2:
                 has_changes = True
                 spread[k] += share * (float((changes**2).mean()) - spread[k])

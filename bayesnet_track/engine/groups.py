@@ -25,7 +25,7 @@ from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import Estimate
 from bayesnet_track.inference.compile import Plan
-from bayesnet_track.inference.measure import StepArrays, is_flat, measure, measure_rows
+from bayesnet_track.inference.measure import StepArrays, fits_rows, measure, measure_rows
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
@@ -280,7 +280,7 @@ class FilteredEach:
     def measures(self, areas_px2: Floats) -> GroupMeasures:
         """UD, KL, ... of the beliefs, whose estimates have these areas (T,)."""
         plate, steps = self.compiled.plate, [target.step for target in self.targets]
-        if is_flat(plate) and not steps[0].evidence.latent:
+        if fits_rows(plate) and steps[0].evidence.latent.keys() <= plate.views.keys():
             return measure_rows(plate, self.plan, StepArrays.of(plate, self.plan, steps), areas_px2)
         pairs = zip(self.targets, areas_px2.tolist(), strict=True)
         return GroupMeasures.of_each(

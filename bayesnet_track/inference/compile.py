@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
 from bayesnet_track.graph.checks.latent import Form, form_of, is_latent
@@ -16,7 +16,7 @@ from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.views import View, views_below
-from bayesnet_track.observation.cue import AnyCue, AssociatingCue, MeasuringCue
+from bayesnet_track.observation.cue import AnyCue, AssociatingCue, AssociationRule, MeasuringCue, rule_of
 from bayesnet_track.observation.planes import Plane
 
 HELD: Mapping[Form, str] = {
@@ -47,7 +47,8 @@ class Observe:
     """An agent scores the hypotheses of the node `at` (the root or the nearest latent node above it).
 
     With `measures` it says where the target is instead, by quantities that `functions` have of a state. Its
-    log-likelihood is divided by `temperature`. It looks at the image of `camera`, where there are several.
+    log-likelihood is divided by `temperature`. It looks at the image of `camera`, where there are several. Of
+    one that is given detections, `rule` says which are the target's.
     """
 
     agent: str
@@ -56,6 +57,7 @@ class Observe:
     temperature: float = 1.0
     functions: MeasuredAs | None = None
     camera: str = ""
+    rule: AssociationRule | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -168,6 +170,9 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
     inference = [name for name in target.order if name in target.children and name in messengers]
     watching = [name for name in target.agents if name in working]
     measuring = frozenset(name for name in target.agents if isinstance(cues[name], MeasuringCue))
+    rules = {
+        name: rule_of(cues[name]) if isinstance(cues[name], AssociatingCue) else None for name in watching
+    }
     return Plan(
         target=target.name,
         root=target.root,
@@ -180,9 +185,10 @@ def compile_plan(target: CheckedTarget, active: Iterable[str], cues: Mapping[str
                 name in measuring,
                 target.agent(name).temperature,
                 target.measures.get(name),
-                "" if isinstance(cues[name], AssociatingCue) else target.camera_of(name),
+                target.camera_of(name) if rule is None else "",
+                rule,
             )
-            for name in watching
+            for name, rule in rules.items()
         ),
         factors=tuple(_weigh(target, name, factor) for name, factor in target.factors.items()),
         fusions=tuple(_fuse(target, name, messengers, measuring) for name in reversed(inference)),

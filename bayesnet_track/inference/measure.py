@@ -6,8 +6,8 @@ depends on who else is measured.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from typing import Any
 
@@ -21,26 +21,37 @@ from bayesnet_track.inference.messages import join_plain, without
 from bayesnet_track.inference.parts import PartBelief, part_beliefs, part_of_agents
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import weighted_mass_in_disc
-from bayesnet_track.numerics.log_weights import column_index, divergences, tilt, uncertainty_deviation
+from bayesnet_track.numerics.log_weights import (
+    column_index,
+    divergences,
+    tilt,
+    uncertainties,
+    uncertainty_deviation,
+)
 from bayesnet_track.numerics.records import LazyRecords
 from bayesnet_track.observation.cue import Hypotheses
 
 Rest = tuple[Sequence[Sequence[float]], Sequence[Sequence[float]], Sequence[Sequence[float]]]
 
 
-@lru_cache(maxsize=64)
 def is_flat(target: CheckedTarget) -> bool:
     """True where the only beliefs of a net are the root's and its agents', and its rules ask for no more."""
+    return len(target.children) == 1 and fits_rows(target)
+
+
+@lru_cache(maxsize=64)
+def fits_rows(target: CheckedTarget) -> bool:
+    """True where a net is flat but for the cameras that see its targets (`measure_rows`)."""
     root = target.inference(target.root)
     rules = root.adapt
     activate, deactivate = (None, None) if rules is None else (rules.activate, rules.deactivate)
     tests = [None if activate is None else activate.unless, None if deactivate is None else deactivate.when]
     return (
-        len(target.children) == 1
+        target.children.keys() <= {target.root, *target.views}
         and all((target.governor[agent] or target.root) == target.root for agent in target.agents)
         and all(test is None or test.concentrated is None for test in tests)
         and (deactivate is None or deactivate.drop != "most_expensive_redundant")
-        and isinstance(_columns(target), slice)
+        and isinstance(column_index([*state_columns(target, target.root)]), slice)
     )
 
 
@@ -56,11 +67,13 @@ class StepArrays:
     Attributes:
         agents: these, in the order of the plan's observations.
         silent: agents that measure and did not see the targets.
-        messages: agent, and factor -> (T, N) log-likelihoods.
+        messages: agent, view and factor -> (T, N) log-likelihoods.
         prior: (T, N) log-weights before the evidence.
         log: (T, N) those after it.
         boxes: (T, N, 4) hypotheses of centre boxes, px.
-        uds: of each target, UD of its belief about the estimate, px^2.
+        uds: the root, and views that nobody looked through -> of each target, UD of its belief about the
+            estimate, px^2.
+        views: view -> (T, N, 4) hypotheses in its image.
     """
 
     agents: Sequence[str]
@@ -69,7 +82,8 @@ class StepArrays:
     prior: Floats
     log: Floats
     boxes: Floats
-    uds: Sequence[float]
+    uds: Mapping[str, Sequence[float]]
+    views: Mapping[str, Floats] = field(default_factory=dict)
 
     @staticmethod
     def key(plan: Plan, step: Step[Any]) -> Hashable:
@@ -81,7 +95,9 @@ class StepArrays:
     @classmethod
     def of(cls, target: CheckedTarget, plan: Plan, steps: Sequence[Step[Any]]) -> StepArrays:
         """Arrays of steps with the same key."""
-        evidence, columns = steps[0].evidence, [BOX_FIELDS.index(name) for name in _ud_fields(target)]
+        evidence = steps[0].evidence
+        nodes = (node for node in target.order if node in target.children and node not in evidence.messages)
+        columns = [(node, state_columns(target, node)) for node in nodes]
         messages = {
             name: _stack([step.evidence.messages[name] for step in steps]) for name in evidence.messages
         }
@@ -93,7 +109,11 @@ class StepArrays:
             _stack([step.prior.log for step in steps]),
             _stack([step.support.weights.log for step in steps]),
             _stack([step.support.boxes for step in steps]),
-            [step.posterior.uncertainty(step.map_state, columns) for step in steps],
+            {node: [step.posterior.uncertainty(step.map_state, k) for step in steps] for node, k in columns},
+            {
+                view.node: _stack([step.evidence.latent[view.node].boxes for step in steps])
+                for view in plan.views
+            },
         )
 
 
@@ -107,7 +127,7 @@ def silent_of(evidence: Evidence) -> tuple[str, ...]:
 
 
 def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2: Floats) -> GroupMeasures:
-    """Measures of the steps of a flat net; every index is taken on the step's own hypotheses.
+    """Measures of steps of a net that `fits_rows`; every index is taken on the step's own hypotheses.
 
     Those that rules seldom ask for are found when one does, for all targets at once.
     """
@@ -117,70 +137,65 @@ def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2
     seeing = [messages[agent] for agent in agents if agent not in steps.silent]
     total = sum((message / len(seeing) for message in seeing), np.zeros_like(steps.prior)).max(axis=1)
     fits = np.exp(np.minimum(total, 0.0)) if seeing else np.zeros(len(areas_px2))
-    agent_messages = np.array([messages[agent] for agent in agents]).reshape(len(agents), *steps.prior.shape)
-    columns = {target.root: np.array(steps.uds)}, areas_px2, fits, agents, nats
-    find_rest = cache(partial(_find_rest, target, plan, agent_messages, steps))
-    uds, areas, fits, agents, nats = columns
-    measures_of = partial(_measures_of, columns, target.root, steps.silent, find_rest)
-    return GroupMeasures(uds=uds, areas=areas, fits=fits, agents=agents, nats=nats, of=measures_of)
+    names = [*agents, *(view for view in steps.views if view in messages)]
+    node_messages = np.array([messages[name] for name in names]).reshape(len(names), *steps.prior.shape)
+    uds_of_nodes = {**steps.uds}
+    for view, log in zip(names[len(agents) :], tilt(steps.prior, node_messages[len(agents) :]), strict=True):
+        boxes = steps.views[view][:, :, column_index([*state_columns(target, view)])]
+        uds_of_nodes[view] = uncertainties(boxes, np.exp(log), _peaks(boxes, log))
+    uds = {node: np.array(uds_of_nodes[node]) for node in target.order if node in uds_of_nodes}
+    find_rest = cache(partial(_find_rest, target, plan, node_messages, steps))
 
+    def rest_of(row: int, part: int, nodes: Sequence[str]) -> dict[str, float]:
+        return dict(zip(nodes, find_rest()[part][row], strict=True))
 
-Columns = tuple[Mapping[str, Floats], Floats, Floats, Sequence[str], Floats]
+    def measures_of(row: int) -> Measures:
+        kl, strength, agent_uds = (
+            LazyRecords(nodes, partial(rest_of, row, part, nodes))
+            for part, nodes in enumerate((agents, names, agents))
+        )
+        return Measures(
+            ud_px2={node: float(values[row]) for node, values in uds.items()},
+            agent_ud_px2=agent_uds,
+            kl=kl,
+            contribution=dict(zip(agents, nats[row].tolist(), strict=True)),
+            strength=strength,
+            fit=float(fits[row]),
+            area_px2=float(areas_px2[row]),
+            silent=steps.silent,
+        )
 
-
-def _measures_of(
-    columns: Columns, root: str, silent: tuple[str, ...], find_rest: Callable[[], Rest], row: int
-) -> Measures:
-    """All that is measured of one target."""
-    uds, areas, fits, agents, nats = columns
-    kl, strength, agent_uds = (
-        LazyRecords(agents, partial(_of_agents, agents, find_rest, row, part)) for part in range(3)
-    )
-    return Measures(
-        ud_px2={root: float(uds[root][row])},
-        agent_ud_px2=agent_uds,
-        kl=kl,
-        contribution=dict(zip(agents, nats[row].tolist(), strict=True)),
-        strength=strength,
-        fit=float(fits[row]),
-        area_px2=float(areas[row]),
-        silent=silent,
-    )
-
-
-def _of_agents(agents: Sequence[str], find_rest: Callable[[], Rest], row: int, part: int) -> dict[str, float]:
-    return dict(zip(agents, find_rest()[part][row], strict=True))
+    return GroupMeasures(uds=uds, areas=areas_px2, fits=fits, agents=agents, nats=nats, of=measures_of)
 
 
 def _find_rest(target: CheckedTarget, plan: Plan, messages: Floats, steps: StepArrays) -> Rest:
-    """KL and strength of each agent's (A, T, N) messages, and UD of what it says by itself."""
-    count, prior, root = len(messages), steps.prior, steps.log
-    if not count:
+    """KL of each agent, strength of its and each view's messages (M, T, N), and UD of what agents say."""
+    count, prior, root = len(steps.agents), steps.prior, steps.log
+    if not len(messages):
         return ([[]] * len(prior),) * 3
-    logs, boxes = tilt(prior, messages), steps.boxes[:, :, _columns(target)]
-    reference_logs = root[None] if is_alone(plan) else logs
+    logs, columns = tilt(prior, messages), column_index([*state_columns(target, target.root)])
+    reference_logs = root[None] if is_alone(plan) else logs[:count]
     nats = divergences(
-        np.concatenate([[root] * count, logs]), np.concatenate([reference_logs, [prior] * count])
+        np.concatenate([[root] * count, logs]), np.concatenate([reference_logs, [prior] * len(logs)])
     )
-    peaks, rows = messages.argmax(axis=2), np.arange(len(prior))
-    uds = [
-        uncertainties(boxes, np.exp(log), boxes[rows, peak]) for log, peak in zip(logs, peaks, strict=True)
-    ]
+    nodes = {observation.agent: observation.at for observation in plan.observations}
+    uds = []
+    for agent, message, log in zip(steps.agents, messages[:count], logs[:count], strict=True):
+        boxes = steps.views.get(nodes[agent], steps.boxes)[:, :, columns]
+        uds.append(uncertainties(boxes, np.exp(log), _peaks(boxes, message)))
     return nats[:count].T.tolist(), nats[count:].T.tolist(), list(zip(*uds, strict=True))
 
 
-def _ud_fields(target: CheckedTarget) -> Sequence[str]:
-    return tuple(target.inference(target.root).ud_fields)
-
-
-def _columns(target: CheckedTarget) -> slice | list[int]:
-    return column_index([BOX_FIELDS.index(name) for name in _ud_fields(target)])
+def _peaks(boxes: Floats, log: Floats) -> Floats:
+    """(T, K) of hypotheses (T, N, K) those with the largest of (T, N)."""
+    return np.asarray(boxes[np.arange(len(boxes)), log.argmax(axis=1)])
 
 
 def _without_each(plan: Plan, steps: StepArrays) -> Floats:
     """(A, T, N) the root's message had each agent been switched off; zeros where nothing is left."""
     shape = steps.prior.shape
-    seeing = {name: message for name, message in steps.messages.items() if name not in steps.silent}
+    left_out = {*steps.silent, *steps.views}
+    seeing = {name: message for name, message in steps.messages.items() if name not in left_out}
     joined = [
         join_plain(plan, {name: message for name, message in seeing.items() if name != agent}, shape)
         for agent in steps.agents
@@ -189,13 +204,6 @@ def _without_each(plan: Plan, steps: StepArrays) -> Floats:
     return np.array([node_messages.get(plan.root, nothing) for node_messages in joined]).reshape(
         len(joined), *shape
     )
-
-
-def uncertainties(states: Floats, weights: Floats, centres: Floats) -> list[float]:
-    """UD of each target (`numerics.log_weights.uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
-    deviations = (states - centres[:, None]).reshape(-1, states.shape[2])
-    squares = np.einsum("nk,nk->n", deviations, deviations).reshape(weights.shape)
-    return [float(np.dot(*pair)) for pair in zip(weights, squares, strict=True)]
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
@@ -214,8 +222,9 @@ def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: 
     agent_ud = {}
     for obs in plan.observations:
         if obs.agent in beliefs:
-            boxes = evidence.latent.get(obs.at, hypotheses).boxes
-            agent_ud[obs.agent] = _agent_ud(target, boxes, evidence.messages[obs.agent], beliefs[obs.agent])
+            boxes, message = evidence.latent.get(obs.at, hypotheses).boxes, evidence.messages[obs.agent]
+            peak = boxes[int(np.argmax(message))]
+            agent_ud[obs.agent] = _ud(target, target.root, boxes, beliefs[obs.agent], peak)
 
     governing = [beliefs.get(governor, root.log) for governor in governors]
     references = governing if is_alone(plan) and not plan.draws else [beliefs[agent] for agent in agents]
@@ -437,8 +446,3 @@ def _inside(
     radius = within_box * float(np.sqrt(mode[2] * mode[3]))
     share = weighted_mass_in_disc(boxes[:, :2], weights, mode[:2], radius)
     return Inside(share, float(1.0 / np.sum(weights**2)), radius)
-
-
-def _agent_ud(target: CheckedTarget, boxes: Floats, message: Floats, belief: Floats) -> float:
-    """UD of the agent's normalised likelihood about its own maximum-likelihood hypothesis."""
-    return _ud(target, target.root, boxes, belief, boxes[int(np.argmax(message))])

@@ -36,7 +36,7 @@ from bayesnet_track.inference.observe import Answer, Observer, Question, ask_eac
 from bayesnet_track.inference.parts import part_boxes
 from bayesnet_track.inference.views import through
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.observation.cue import AssociatingCue, Hypotheses, Measurement
+from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Region, region_of_boxes
 from bayesnet_track.observation.protocols import BOX
 
@@ -92,12 +92,12 @@ def evaluate(
                 if answer.errors is not None:
                     answer = _at_prediction(answer, step, observer, hypotheses_of[step.at], prior_log)
                 _note_undefined(step.agent, answer, hypotheses_of[step.at], observer.factors.undefined)
-            if not answer.choices and not isinstance(observer.cues[step.agent], AssociatingCue):
+            if not answer.choices and step.rule is None:
                 constants[step.agent] = answer.log_constant / step.temperature
             answer = to_power(answer, 1.0 / step.temperature)
             messages[step.agent] = measurement_message(answer, hypotheses_of[step.at])
             if (view := plan.view(step.at)) is not None:
-                answer = through(view, answer, step.agent, _errors(step, observer))
+                answer = through(view, answer, step.agent, _errors(step))
             measured[step.agent] = answer
         elif answer is None:
             measured[step.agent] = None
@@ -118,13 +118,10 @@ def evaluate(
     return Evidence(total, node_messages, latent, faults, *details)
 
 
-def _errors(step: Observe, observer: Observer) -> Callable[[Floats], Floats] | None:
-    """Variances of a detection of an expected box (4,), as the agent's rule says; None of other agents."""
-    cue = observer.cues[step.agent]
-    if not isinstance(cue, AssociatingCue):
-        return None
-    rule = cue.rule
-    return lambda box: rule.variances(box) * step.temperature
+def _errors(step: Observe) -> Callable[[Floats], Floats] | None:
+    """Variances of detections of expected boxes (T, 4), as the agent's rule says; None of other agents."""
+    rule = step.rule
+    return None if rule is None else lambda boxes: rule.variances(boxes) * step.temperature
 
 
 def _weigh_factors(
@@ -305,7 +302,7 @@ def without(
     agents = {step.agent for step in plan.observations} - {agent}
     sent = {name: message for name, message in evidence.messages.items() if name in agents}
     sent |= evidence.factors
-    if not evidence.latent:
+    if not plan.draws:
         silent = {name for name, measurement in evidence.measured.items() if measurement is None}
         seeing = {name: message for name, message in sent.items() if name not in silent}
         return join_plain(plan, seeing, (len(prior_log),))

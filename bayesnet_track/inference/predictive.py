@@ -10,10 +10,10 @@ import numpy as np
 
 from bayesnet_track.belief.contract import Step
 from bayesnet_track.belief.gaussian.update import update_by_errors
-from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import p_value
+from bayesnet_track.numerics.lenses import derivatives
 from bayesnet_track.observation.cue import Measurement
 
 
@@ -149,7 +149,7 @@ def _of_gaussian(
     if measurement.seen is None:
         columns = [fields.index(name) for name in measurement.fields]
         return mean[columns], covariance[np.ix_(columns, columns)] + measurement.covariance
-    slopes = derivative(lambda states: _values(measurement, fields, states), mean)
+    slopes = derivatives(lambda states: _values(measurement, fields, states), mean[None])[0]
     return _values(measurement, fields, mean[None])[
         0
     ], slopes @ covariance @ slopes.T + measurement.covariance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from statistics import NormalDist
 
 import numpy as np
@@ -13,6 +13,7 @@ from bayesnet_track.graph.checked import CLOCK, CheckedTarget, LastingError
 from bayesnet_track.inference.queries import inside_polygon
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.cameras import UNSEEN, GroundView
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.protocols import BOX, Seen
@@ -54,16 +55,50 @@ class View:
                 [states[name] for name in VELOCITY], axis=1
             )
         boxes = self.camera.boxes(shifted)
-        for error in self.lasting:
-            if error.node in (self.node, agent) and not error.is_clock:
-                boxes = boxes + effects(error, boxes) * states[error.field][:, None]
+        for place, column, side in _errors_of(self, agent):
+            boxes[:, column] += states[self.lasting[place].field] * (1.0 if side is None else boxes[:, side])
         return boxes
+
+    def linearise(self, states: Floats, agent: str = "") -> tuple[Floats, Floats]:
+        """(N, 4) boxes of states (N, D), as `boxes` has them, and their derivatives (N, 4, D)."""
+        size = states.shape[1]
+        shifted, offset = states[:, :4], None if self.clock is None else self.column(self.clock, size)
+        if offset is not None:
+            shifted = shifted.copy()
+            shifted[:, :2] -= states[:, offset : offset + 1] * states[:, 4:6]
+        boxes, slopes = self.camera.boxes(shifted), np.zeros((len(states), 4, size))
+        slopes[:, :, :4] = self.camera.jacobian(shifted)
+        if offset is not None:
+            slopes[:, :, 4:6] = -states[:, offset, None, None] * slopes[:, :, :2]
+            slopes[:, :, offset] = -(slopes[:, :, :2] @ states[:, 4:6, None])[:, :, 0]
+        first = size - len(self.lasting)
+        for place, column, side in _errors_of(self, agent):
+            errors, scale = states[:, first + place], 1.0 if side is None else boxes[:, side].copy()
+            if side is not None:
+                slopes[:, column] += errors[:, None] * slopes[:, side]
+            slopes[:, column, first + place] += scale
+            boxes[:, column] += errors * scale
+        return boxes, slopes
 
     @cached_property
     def clock(self) -> str | None:
         """The field of the state that says by how much the times of its camera are late; None: by nothing."""
         fields = (error.field for error in self.lasting if error.node == self.node and error.axis == CLOCK)
         return next(fields, None)
+
+    def box_quantities(self, agent: str, variances: Callable[[Floats], Floats] | None = None) -> Seen:
+        """Box of a state as a measurement; `variances` (T, 4) -> (T, 4) are those of its errors."""
+        covariance = None
+        if variances is not None:
+            covariance = lambda expected: variances(expected)[:, :, None] * np.eye(4)  # noqa: E731
+        return Seen(
+            partial(self.boxes, agent=agent),
+            np.full(len(BOX), np.inf),
+            self.shared,
+            None if self.clock is None else self.beyond,
+            covariance,
+            linearise=partial(self.linearise, agent=agent),
+        )
 
     def beyond(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """(4,) and (4, 4) what the derivative leaves out of the box of a state N(mean, covariance).
@@ -100,6 +135,17 @@ class View:
         """
         states = {**ground.fields, **dict(zip(BOX, ground.boxes.T, strict=True))}
         return Hypotheses(visible_boxes(self.boxes(states), size_in(frame, self.seen_by, self.camera)))
+
+
+@lru_cache(maxsize=256)
+def _errors_of(view: View, agent: str) -> tuple[tuple[int, int, int | None], ...]:
+    """Errors of a view and an agent: place among those that last, coordinate of the box, side that scales it.
+
+    An error without such a side is in px.
+    """
+    errors = ((place, error) for place, error in enumerate(view.lasting) if error.node in (view.node, agent))
+    columns = ((place, error, BOX.index(error.axis)) for place, error in errors if not error.is_clock)
+    return tuple((place, k, None if error.is_shared else 2 + k % 2) for place, error, k in columns)
 
 
 def effects(error: LastingError, boxes: Floats) -> Floats:
@@ -166,9 +212,11 @@ def through(
 ) -> Measurement:
     """Measurement of the box in the image by `agent`, as a measurement of the state on the ground.
 
-    Errors are those that a detection of the expected box has (`variances`, (4,) -> (4,)): a detection that is
-    large by chance would count less than one that is small by chance, and the belief be pulled.
+    Errors are those that a detection of the expected box has (`variances`, (T, 4) -> (T, 4)): a detection
+    that is large by chance would count less than one that is small by chance, and the belief be pulled.
     """
+    if measured.fields == BOX and measured.seen is None:
+        return _box_through(measured, view.box_quantities(agent, variances), view.camera)
     inner, errors = measured.seen, measured.errors
     columns = None if inner is not None else [BOX.index(name) for name in measured.fields]
 
@@ -184,15 +232,27 @@ def through(
         of_boxes = errors.function
         errors = replace(errors, function=lambda states, away: of_boxes(in_image(states), away))
     periods = np.full(len(measured.fields), np.inf) if inner is None else inner.periods
-    beyond = None if view.clock is None or measured.fields != BOX or inner is not None else view.beyond
     choices = tuple((weight, through(view, choice, agent, variances)) for weight, choice in measured.choices)
-    box = Seen(function, periods, view.shared, beyond)
-    if measured.fields == BOX and inner is None:
-        cut = cut_covariance(view.camera, measured.mean[None])[0]
-        measured = replace(measured, covariance=measured.covariance + cut)
-        if (errors_of := variances) is not None:
-            box = replace(box, covariance=lambda expected: np.diag(errors_of(expected)) + cut)
-    return replace(measured, seen=box, choices=choices, errors=errors)
+    return replace(measured, seen=Seen(function, periods, view.shared), choices=choices, errors=errors)
+
+
+def _box_through(measured: Measurement, box: Seen, camera: GroundView) -> Measurement:
+    """Measurement of a box with its choices, whose quantities are those of a state's `box`."""
+    boxes = np.array([measured.mean, *(choice.mean for _, choice in measured.choices)])
+    cuts = cut_covariance(camera, boxes)
+    is_cut: list[bool] = np.any(cuts, axis=(1, 2)).tolist()
+
+    def of_state(row: int, choice: Measurement) -> Measurement:
+        if not is_cut[row]:
+            return evolve(choice, seen=box)
+        return evolve(
+            choice, seen=evolve(box, extra_covariance=cuts[row]), covariance=choice.covariance + cuts[row]
+        )
+
+    choices = tuple(
+        (weight, of_state(row, choice)) for row, (weight, choice) in enumerate(measured.choices, 1)
+    )
+    return evolve(of_state(0, measured), choices=choices)
 
 
 Sizes = tuple[tuple[float, float] | None, tuple[float, float] | None]
@@ -341,14 +401,14 @@ class Views:
         """(N, 4) the squares that targets (N, D) cover of the ground, m, centre first."""
         return states[:, [0, 1, 2, 2]]
 
-    def share_in_area(self, mean: Floats, covariance: Floats) -> float:
-        """Probability that a target (D,), (D, D) stands where detections may become targets."""
+    def shares_in_area(self, means: Floats, covariances: Floats) -> Floats:
+        """(T,) probabilities that targets (T, D), (T, D, D) stand where detections may become targets."""
         if self.area is None:
-            return 1.0
-        along, lateral = np.meshgrid(_QUANTILES, _QUANTILES)
-        lower = np.linalg.cholesky(covariance[:2, :2] + 1e-12 * np.eye(2))
-        points = np.column_stack([along.ravel(), lateral.ravel()]) @ lower.T + mean[:2]
-        return float(inside_polygon(self.area, *points.T).mean())
+            return np.ones(len(means))
+        unit = np.array(np.meshgrid(_QUANTILES, _QUANTILES)).reshape(2, -1).T
+        lower = np.linalg.cholesky(covariances[:, :2, :2] + 1e-12 * np.eye(2))
+        points = unit @ lower.swapaxes(1, 2) + means[:, None, :2]
+        return np.asarray(inside_polygon(self.area, points[..., 0], points[..., 1]).mean(axis=1))
 
     def place(self, box: Floats) -> Placed | None:
         """Place of a target in a given centre box (4,); None above the horizon."""
@@ -358,19 +418,7 @@ class Views:
 
     def moments(self, mean: Floats, covariance: Floats, frame: Frame) -> tuple[Floats, Floats]:
         """(4,) box and (4, 4) covariance in the image of a state N(mean, covariance), by the derivative."""
-        box = self.boxes(mean[None], frame)[0]
-        slopes = np.zeros((4, len(mean)))
-        centre = mean[:4].copy()
-        clock = None if (name := self.main.clock) is None else self.main.column(name, len(mean))
-        if clock is not None:
-            centre[:2] -= mean[clock] * mean[4:6]
-        slopes[:, :4] = self.main.camera.jacobian(centre[None])[0]
-        if clock is not None:
-            slopes[:, 4:6] = -mean[clock] * slopes[:, :2]
-            slopes[:, clock] = -slopes[:, :2] @ mean[4:6]
-        for column, error in enumerate(self.lasting, len(mean) - len(self.lasting)):
-            if error.node == self.main.node and not error.is_clock:
-                slopes[:, column] = effects(error, box[None])[0]
+        box, slopes = self.boxes(mean[None], frame)[0], self.main.linearise(mean[None])[1][0]
         if not np.isfinite(slopes).all():
             return box, np.zeros((4, 4))
         return box, slopes @ covariance @ slopes.T

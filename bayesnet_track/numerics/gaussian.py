@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.numerics.arrays import Floats, Ints
+from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled
 
 
@@ -332,6 +332,25 @@ def sigma_points(width: int, scale: float) -> Floats:
     """(2 width + 1, width) the points of the unscented transform: 0 and +-sqrt(scale) on each axis."""
     offsets = math.sqrt(scale) * np.eye(width)
     return np.concatenate([np.zeros((1, width)), offsets, -offsets])
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation:
+    """Expected values of functions of T Gaussian states.
+
+    Attributes:
+        values: (T, K) their means.
+        spread: (T, K, K) their covariances.
+        cross: (T, D, K) covariances of state and values.
+        is_known: (T,) whether the functions have values there.
+        at_mean: (T, K) values at the mean.
+    """
+
+    values: Floats
+    spread: Floats
+    cross: Floats
+    is_known: Bools
+    at_mean: Floats
 
 
 def weighted_moments(points: Floats, weights: Floats) -> tuple[Floats, Floats]:

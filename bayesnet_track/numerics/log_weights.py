@@ -162,6 +162,13 @@ def uncertainty_deviation(states: Floats, weights: Floats, centre: Floats) -> fl
     return float(np.dot(weights, np.einsum("nk,nk->n", deviations, deviations)))
 
 
+def uncertainties(states: Floats, weights: Floats, centres: Floats) -> list[float]:
+    """UD of each target (`uncertainty_deviation`): (T, N, K), (T, N) about (T, K)."""
+    deviations = (states - centres[:, None]).reshape(-1, states.shape[2])
+    squares = np.einsum("nk,nk->n", deviations, deviations).reshape(weights.shape)
+    return [float(np.dot(*pair)) for pair in zip(weights, squares, strict=True)]
+
+
 def tilt(prior_log: Floats, log_likelihoods: Floats) -> Floats:
     """(M, N) normalised log-weights: the prior (N,) times each likelihood (M, N).
 

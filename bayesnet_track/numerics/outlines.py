@@ -39,7 +39,7 @@ def straight(axes: Floats, origin: Floats, ground: Floats) -> tuple[Floats, Floa
     """Boxes (N, 4) and derivatives (N, 4, 4) of targets (N, 4) by a projection [axes origin] to pixels."""
     # Imported here: a graph is validated without compiling anything.
     from bayesnet_track.numerics.compiled import plain
-    from bayesnet_track.numerics.kernels.outline_kernels import straight_outlines
+    from bayesnet_track.numerics.kernels.view_kernels import straight_outlines
 
     return straight_outlines(plain(axes), plain(origin), plain(ground))
 

@@ -171,8 +171,11 @@ class Seen:
             targets have, too.
         beyond: mean (D,) and covariance (D, D) of a state -> (K,) and (K, K): what the derivative at the mean
             leaves out of the quantities' mean and covariance; None where that is nothing much.
-        covariance: quantities (K,) expected of a state -> (K, K) of their errors; None: that of the
+        covariance: quantities (T, K) expected of states -> (T, K, K) of their errors; None: that of the
             measurement, whatever is expected.
+        extra_covariance: (K, K) errors of this measurement besides those of `covariance`.
+        linearise: states (T, D) -> (T, K) values and their derivatives (T, K, D), in closed form; None: by
+            differences of the function.
     """
 
     function: Callable[[Mapping[str, Floats]], Floats]
@@ -180,6 +183,8 @@ class Seen:
     shared: tuple[str, ...] = ()
     beyond: Callable[[Floats, Floats], tuple[Floats, Floats]] | None = None
     covariance: Callable[[Floats], Floats] | None = None
+    extra_covariance: Floats | None = None
+    linearise: Callable[[Floats], tuple[Floats, Floats]] | None = None
 
     def in_mode(self, number: int) -> Seen:
         """The same of states that are in a mode of this number and do not say so."""

@@ -6,7 +6,7 @@ from scipy import stats
 
 from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior, predict
-from bayesnet_track.belief.gaussian.update import take
+from bayesnet_track.belief.gaussian.rows import take
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.belief.particles.belief import ParticleFilter

@@ -7,7 +7,7 @@ import pytest
 from scipy import integrate, stats
 
 from bayesnet_track.belief.contract import BOX_FIELDS
-from bayesnet_track.belief.gaussian.update import take
+from bayesnet_track.belief.gaussian.rows import take
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.inference.factors import draw_given, linearise_given, log_given, usual_boxes

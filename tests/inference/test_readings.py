@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import cholesky
 
-from bayesnet_track.belief.gaussian.update import log_message, take, update_seen
+from bayesnet_track.belief.gaussian.belief import log_message
+from bayesnet_track.belief.gaussian.rows import take, update_by
 from bayesnet_track.belief.motion.modes import mode_probabilities
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.checked import MeasuredAs
@@ -45,7 +46,7 @@ def measured(fakes, z, functions=FUNCTIONS):
 def test_the_extended_update_is_that_of_the_textbook(fakes):
     """With the Jacobian of range and bearing by hand."""
     z = np.array([64.0, -0.8])
-    after = update_seen(MEAN, covariance(), FIELDS, measured(fakes, z), is_unscented=False)
+    after = update_by(MEAN, covariance(), FIELDS, measured(fakes, z), is_unscented=False)
     (dx, dy), r = MEAN[:2] - AT, np.hypot(*(MEAN[:2] - AT))
     jacobian = np.zeros((2, 6))
     jacobian[:, :2] = [[dx / r, dy / r], [-dy / r**2, dx / r**2]]
@@ -60,7 +61,7 @@ def test_the_extended_update_is_that_of_the_textbook(fakes):
 def test_the_unscented_update_is_that_of_the_textbook(fakes):
     """Julier's points at +-sqrt(6) sds along the columns of Cholesky's root, weights 1 / 12."""
     z = np.array([64.0, -0.8])
-    after = update_seen(MEAN, covariance(), FIELDS, measured(fakes, z), is_unscented=True)
+    after = update_by(MEAN, covariance(), FIELDS, measured(fakes, z), is_unscented=True)
     away = np.sqrt(6) * cholesky(covariance(), lower=True).T
     points = MEAN + np.concatenate([away, -away])
     seen = polar(points)
@@ -92,7 +93,7 @@ def test_angles_are_taken_the_shorter_way_round(fakes, is_unscented):
     left, right = MEAN.copy(), MEAN.copy()
     left[:2], right[:2] = AT + [-50, 1], AT + [50, -1]
     turned = [
-        update_seen(mean, narrow, FIELDS, measured(fakes, [50.0, angle]), is_unscented).mean[:2] - AT
+        update_by(mean, narrow, FIELDS, measured(fakes, [50.0, angle]), is_unscented).mean[:2] - AT
         for mean, angle in ((left, -3.1), (right, np.pi - 3.1))
     ]
     np.testing.assert_allclose(turned[0], -turned[1], atol=1e-6)

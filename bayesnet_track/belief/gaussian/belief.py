@@ -73,7 +73,10 @@ def predict(
     else:
         carried_mean, spread = np.empty(len(mean)), np.empty((len(mean), len(mean)))
         carry(for_reading(transition), plain(noise), plain(mean), plain(covariance), carried_mean, spread)
-        mean = carried_mean if isinstance(free, KinematicMotion) else free.drift(mean[None], dt)[0]
+        is_linear = isinstance(free, KinematicMotion) or (
+            isinstance(free, Nested) and free.moves(dt) is not None
+        )
+        mean = carried_mean if is_linear else free.drift(mean[None], dt)[0]
         covariance = spread
     return motion.confine_moments(mean, covariance) if isinstance(motion, Confined) else (mean, covariance)
 

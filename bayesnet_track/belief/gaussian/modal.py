@@ -31,13 +31,12 @@ from bayesnet_track.belief.gaussian.belief import (
     report_gated,
     require_linear,
 )
-from bayesnet_track.belief.gaussian.rows import stand_for_each
+from bayesnet_track.belief.gaussian.rows import stand_for_each, take
 from bayesnet_track.belief.gaussian.update import (
     Gated,
     SigmaPoints,
     fit_moments,
     match_moments,
-    take,
     update_by,
 )
 from bayesnet_track.belief.motion.borders import Confined
@@ -299,11 +298,9 @@ class ModalFilter:
             for mode in np.flatnonzero(~hidden).tolist():
                 part = predicted.parts[mode]
                 fit[mode, 1:] = [
-                    np.exp(
-                        update_by(part.mean, part.covariance, part.fields, choice).log_likelihood
-                        + self._log_labels({agent: choice})[mode]
-                    )
+                    np.exp(update.log_likelihood + self._log_labels({agent: choice})[mode])
                     for _, choice in measurement.choices
+                    if (update := update_by(part.mean, part.covariance, part.fields, choice)) is not None
                 ]
             joint = prior[:, None] * fit
             total = joint.sum(axis=0)

@@ -6,19 +6,20 @@ Arrays of all targets come first in every shape. A target's bytes do not depend 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from bayesnet_track.belief.contract import LEAST_SIDE_PX, MotionModel
 from bayesnet_track.belief.gaussian.update import (
     LEAST,
+    Gated,
     MeasurementUpdate,
     SigmaPoints,
     gated_of,
-    mix_choices,
+    measured_columns,
     observe_fields,
-    take,
+    update_by,
 )
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.formulas import linearise_seen
@@ -26,6 +27,7 @@ from bayesnet_track.graph import spec
 from bayesnet_track.graph.expressions.distributions import LinearNormal
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.gaussian import (
+    Expectation,
     Updated,
     chi_square_quantile,
     linear_update,
@@ -37,6 +39,7 @@ from bayesnet_track.numerics.gaussian import (
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Measurement
+from bayesnet_track.observation.protocols import Seen
 
 Moments = tuple[Floats, Floats]
 """Mean (D,) and covariance (D, D)."""
@@ -144,6 +147,166 @@ def update_by_normals(
     return evolve(updated, log_likelihood=updated.log_likelihood + log_peak)
 
 
+def take(
+    mean: Floats,
+    covariance: Floats,
+    fields: tuple[str, ...],
+    measured: Mapping[str, Measurement],
+    gate: float,
+    is_unscented: bool = False,
+) -> MeasurementUpdate:
+    """Kalman updates by what agents measured, one after the other, as exact as all at once.
+
+    A measurement is left out when d^2 = v' S^-1 v exceeds the chi-square quantile of `gate` (tracking chapter
+    3.9 b: no object near the prediction, so that only the prediction stands). Every d^2 is taken against the
+    belief before any of them, so that their order decides nothing. One with choices gives the mean and the
+    covariance of the mixture of its updates; it is never left out, because its choices were gated when they
+    were made, nor is one whose errors are not Gaussian (`update_by_errors`). Quantities that are functions of
+    the state are taken by their derivative at the mean, or at sigma points where `is_unscented`; without a
+    value there they are not used.
+    """
+    accepted: dict[str, Measurement] = {}
+    gated: list[Gated] = []
+    for agent, measurement in measured.items():
+        if measurement.choices or (measurement.errors is not None and not measurement.errors.is_normal):
+            accepted[agent] = measurement
+            continue
+        if measurement.seen is None and gate >= 1.0:  # nothing is too far
+            accepted[agent] = measurement
+            continue
+        trial = update_by(mean, covariance, fields, evolve(measurement, errors=None), is_unscented)
+        if trial is None:
+            continue
+        d2 = trial.d2
+        degrees = len(measurement.fields)
+        limit = chi_square_quantile(gate, degrees)
+        if d2 > limit:
+            gated.append(gated_of(agent, d2, gate, degrees))
+        else:
+            accepted[agent] = measurement
+    log_evidence = 0.0
+    for measurement in accepted.values():
+        if measurement.choices:
+            means, covariances = mean[None].copy(), covariance[None].copy()
+            log_evidence += float(mix_choices((means, covariances), fields, [measurement], is_unscented)[0])
+            mean, covariance = means[0], covariances[0]
+            continue
+        update = update_by(mean, covariance, fields, measurement, is_unscented)
+        if update is None:
+            continue
+        mean, covariance = update.mean, update.covariance
+        log_evidence += update.log_likelihood
+    return MeasurementUpdate(mean, covariance, log_evidence, accepted, tuple(gated))
+
+
+def expect_seen(
+    quantities: Seen, fields: tuple[str, ...], moments: Moments, is_unscented: bool
+) -> Expectation:
+    """Expected values of quantities z = h(x) of states (T, D), (T, D, D): by slopes, or by sigma points."""
+    mean, covariance = moments
+    values, slopes = linearise_seen(mean, fields, quantities)
+    if not is_unscented:
+        expected = _expect_by_slopes(values, slopes, covariance)
+    else:
+
+        def measure_near(states: Floats, centre: Floats) -> Floats:
+            measured = quantities.function(dict(zip(fields, states.T, strict=True)))
+            return np.asarray(centre + quantities.less(measured, centre))
+
+        expected = _expect_by_points(measure_near, values, mean, covariance)
+    if quantities.beyond is None:
+        return expected
+    expected = evolve(expected, values=expected.values.copy())
+    for row in np.flatnonzero(expected.is_known).tolist():
+        shift, spread = quantities.beyond(mean[row], covariance[row])
+        expected.values[row] += 0.0 if is_unscented else shift  # sigma points see it by themselves
+        expected.spread[row] += spread
+    return expected
+
+
+def _expect_by_slopes(values: Floats, slopes: Floats, covariance: Floats) -> Expectation:
+    """Expected values by those at the mean (T, K) and derivatives there (T, K, D); covariances (T, D, D)."""
+    with np.errstate(all="ignore"):
+        cross = covariance @ slopes.swapaxes(1, 2)
+        spread = slopes @ cross
+    return _finite(values, spread, cross, values)
+
+
+def _expect_by_points(
+    measure: Callable[[Floats, Floats], Floats], at_mean: Floats, mean: Floats, covariance: Floats
+) -> Expectation:
+    """Expected values by the unscented transform; `measure` has values (N, K) of states, near some (K,).
+
+    At 2 K + 1 points that lie at +-sqrt(max(K, 3)) sds, K the covariance's rank.
+    """
+    values, spread = np.empty_like(at_mean), np.empty((*at_mean.shape, at_mean.shape[1]))
+    cross = np.zeros((*mean.shape, at_mean.shape[1]))
+    with np.errstate(all="ignore"):
+        for row in range(len(mean)):
+            lower = root(covariance[row])
+            rank = lower.shape[1]
+            scale = max(rank, 3.0)
+            unit = sigma_points(rank, scale)
+            weights = np.full(len(unit), 0.5 / scale)
+            weights[0] = 1.0 - rank / scale
+            points = measure(mean[row] + unit @ lower.T, at_mean[row])
+            values[row] = weights @ points
+            weighted = (points - values[row]) * weights[:, None]
+            spread[row] = weighted.T @ (points - values[row])
+            cross[row] = lower @ (unit.T @ weighted)
+    return _finite(values, spread, cross, at_mean)
+
+
+def _finite(values: Floats, spread: Floats, cross: Floats, at_mean: Floats) -> Expectation:
+    """The expectation, with harmless numbers where the functions have no values."""
+    is_known = np.asarray(np.isfinite(values).all(axis=1) & np.isfinite(spread).all(axis=(1, 2)))
+    if not is_known.all():
+        values, cross = (
+            np.where(is_known[:, None], values, 0.0),
+            np.where(is_known[:, None, None], cross, 0.0),
+        )
+        spread = np.where(is_known[:, None, None], spread, 0.0)
+    return Expectation(values, symmetric(spread), cross, is_known, at_mean)
+
+
+def mix_choices(
+    moments: Moments, fields: tuple[str, ...], measured: Sequence[Measurement], is_unscented: bool
+) -> Floats:
+    """Update Gaussians (T, D), (T, D, D) by a measurement with choices each, in place; (T,) log evidence.
+
+    Their moments are those of the mixture of the updates by each choice, and by none. Where functions of the
+    state have no value at the mean nothing is used.
+    """
+    # Imported here: a graph is validated without compiling anything.
+    from bayesnet_track.numerics.kernels.view_kernels import mix_expected
+
+    mean, covariance = moments
+    choices = [choice for message in measured for _, choice in message.choices]
+    counts = [len(message.choices) for message in measured]
+    rows, quantities = np.repeat(np.arange(len(measured)), counts), choices[0].seen
+    considered: tuple[int, ...] = ()
+    values = np.array([choice.mean for choice in choices])
+    if quantities is None:
+        columns = [*measured_columns(choices[0].fields, fields)]
+        at_mean, cross = mean[:, columns], covariance[:, :, columns]
+        expected = Expectation(at_mean, cross[:, columns], cross, np.ones(len(mean), dtype=np.bool_), at_mean)
+        innovations = values - at_mean[rows]
+    else:
+        expected = expect_seen(quantities, fields, moments, is_unscented)
+        innovations = quantities.less(values, expected.values[rows])
+        considered = measured_columns(quantities.shared, fields)
+    if quantities is None or quantities.covariance is None:
+        noises = np.array([choice.covariance for choice in choices])
+    else:
+        noises = quantities.covariance(expected.at_mean)[rows]
+        for place, choice in enumerate(choices):
+            if choice.seen is not None and choice.seen.extra_covariance is not None:
+                noises[place] += choice.seen.extra_covariance
+    weights = np.array([weight for message in measured for weight, _ in message.choices])
+    missed, starts = np.array([message.missed for message in measured]), np.cumsum([0, *counts])
+    return mix_expected(moments, expected, (innovations, noises), (starts, weights, missed), considered)
+
+
 def take_each(
     moments: Sequence[Moments],
     fields: tuple[str, ...],
@@ -176,16 +339,15 @@ def take_each(
 def _rows_of_choices(measured: Sequence[Mapping[str, Measurement]]) -> list[int]:
     """Rows that are updated by choices alone, of quantities that are functions of the state.
 
-    Their agents are those of the longest row, in its order; of one row alone nothing is found together.
+    Their agents are those of the longest row, in its order.
     """
     order = [*max(measured, key=len, default={})]
-    rows = [
+    return [
         row
         for row, messages in enumerate(measured)
         if messages and [agent for agent in order if agent in messages] == [*messages]
         if all(message.choices and message.choices[0][1].seen is not None for message in messages.values())
     ]
-    return rows if len(rows) > 1 else []
 
 
 def _mix_each(
@@ -194,18 +356,23 @@ def _mix_each(
     measured: Sequence[Mapping[str, Measurement]],
     is_unscented: bool,
 ) -> dict[int, MeasurementUpdate]:
-    """Row -> its update by choices alone (`update.take`); derivatives of an agent's are found at once."""
-    beliefs, logs = dict(moments), dict.fromkeys(moments, 0.0)
-    for agent in max((measured[row] for row in moments), key=len, default={}):
+    """Row -> its update by choices alone (`update.take`), one agent after the other, all rows at once."""
+    if not moments:
+        return {}
+    places, logs = {row: place for place, row in enumerate(moments)}, np.zeros(len(moments))
+    mean = np.array([mean for mean, _ in moments.values()])
+    covariance = np.array([covariance for _, covariance in moments.values()])
+    for agent in max((measured[row] for row in moments), key=len):
         rows = [row for row in moments if agent in measured[row]]
-        quantities = measured[rows[0]][agent].choices[0][1].seen
-        assert quantities is not None
-        linear = linearise_seen(np.array([beliefs[row][0] for row in rows]), fields, quantities)
-        for row, at_mean in zip(rows, linear, strict=True):
-            message = measured[row][agent]
-            mean, covariance, log = mix_choices(*beliefs[row], fields, message, is_unscented, at_mean)
-            beliefs[row], logs[row] = (mean, covariance), logs[row] + log
-    return {row: MeasurementUpdate(*beliefs[row], logs[row], measured[row], ()) for row in moments}
+        group = [measured[row][agent] for row in rows]
+        some = [places[row] for row in rows]
+        group_mean, group_covariance = mean[some], covariance[some]
+        logs[some] += mix_choices((group_mean, group_covariance), fields, group, is_unscented)
+        mean[some], covariance[some] = group_mean, group_covariance
+    return {
+        row: MeasurementUpdate(mean[place], covariance[place], float(logs[place]), measured[row], ())
+        for row, place in places.items()
+    }
 
 
 def _is_correlated(message: Measurement) -> bool:

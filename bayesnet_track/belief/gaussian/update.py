@@ -76,7 +76,7 @@ def _update_by_one(
     quantities, errors = measured.seen, measured.errors
     assert quantities is not None and errors is not None
 
-    centre, slopes = linearise_seen(mean[None], fields, quantities)[0]
+    centre, slopes = (array[0] for array in linearise_seen(mean[None], fields, quantities))
     slope = slopes[number]
     if not (np.isfinite(centre).all() and np.isfinite(slope).all()):
         return None
@@ -140,11 +140,11 @@ def log_message(measured: Measurement, hypotheses: Hypotheses, fields: tuple[str
 
 def observe_fields(measurement: Measurement, fields: tuple[str, ...]) -> Floats:
     """(K, D) H: the rows of the identity for the fields measured."""
-    return np.eye(len(fields))[list(_columns_of(measurement.fields, fields))]
+    return np.eye(len(fields))[list(measured_columns(measurement.fields, fields))]
 
 
 @lru_cache(maxsize=256)
-def _columns_of(measured: tuple[str, ...], fields: tuple[str, ...]) -> tuple[int, ...]:
+def measured_columns(measured: tuple[str, ...], fields: tuple[str, ...]) -> tuple[int, ...]:
     """(K,) the columns of what was measured among the fields of a state."""
     return tuple(fields.index(name) for name in measured)
 
@@ -282,72 +282,18 @@ class MeasurementUpdate:
     gated: tuple[Gated, ...]
 
 
-def take(
+def update_by(
     mean: Floats,
     covariance: Floats,
     fields: tuple[str, ...],
-    measured: Mapping[str, Measurement],
-    gate: float,
+    measurement: Measurement,
     is_unscented: bool = False,
-) -> MeasurementUpdate:
-    """Kalman updates by what agents measured, one after the other, as exact as all at once.
-
-    A measurement is left out when d^2 = v' S^-1 v exceeds the chi-square quantile of `gate` (tracking chapter
-    3.9 b: no object near the prediction, so that only the prediction stands). Every d^2 is taken against the
-    belief before any of them, so that their order decides nothing. One with choices gives the mean and the
-    covariance of the mixture of its updates; it is never left out, because its choices were gated when they
-    were made, nor is one whose errors are not Gaussian (`update_by_errors`). Quantities that are functions of
-    the state are taken by their derivative at the mean, or at sigma points where `is_unscented`; without a
-    value there they are not used.
-    """
-    accepted: dict[str, Measurement] = {}
-    gated: list[Gated] = []
-    for agent, measurement in measured.items():
-        if measurement.choices or (measurement.errors is not None and not measurement.errors.is_normal):
-            accepted[agent] = measurement
-            continue
-        if measurement.seen is not None:
-            trial = update_seen(mean, covariance, fields, measurement, is_unscented)
-            if trial is None:
-                continue
-            d2 = trial.d2
-        elif gate >= 1.0:  # nothing is too far
-            accepted[agent] = measurement
-            continue
-        else:
-            d2 = update_by(mean, covariance, fields, measurement).d2
-        degrees = len(measurement.fields)
-        limit = chi_square_quantile(gate, degrees)
-        if d2 > limit:
-            gated.append(gated_of(agent, d2, gate, degrees))
-        else:
-            accepted[agent] = measurement
-    log_evidence = 0.0
-    for measurement in accepted.values():
-        if measurement.choices:
-            mean, covariance, log_own = mix_choices(mean, covariance, fields, measurement, is_unscented)
-            log_evidence += log_own
-            continue
-        if measurement.seen is None:
-            update = update_by(mean, covariance, fields, measurement)
-        else:
-            by_function = (
-                update_seen(mean, covariance, fields, measurement, is_unscented)
-                if measurement.errors is None
-                else update_by_errors(mean, covariance, fields, measurement)
-            )
-            if by_function is None:
-                continue
-            update = by_function
-        mean, covariance = update.mean, update.covariance
-        log_evidence += update.log_likelihood
-    return MeasurementUpdate(mean, covariance, log_evidence, accepted, tuple(gated))
-
-
-def update_by(mean: Floats, covariance: Floats, fields: tuple[str, ...], measurement: Measurement) -> Updated:
-    """The update by a measurement of fields of the state."""
+) -> Updated | None:
+    """The update by a measurement of fields of the state, or of functions (`update_seen`)."""
+    if measurement.seen is not None:
+        return update_seen(mean, covariance, fields, measurement, is_unscented)
     if measurement.variances is not None:
-        columns = _columns_of(measurement.fields, fields)
+        columns = measured_columns(measurement.fields, fields)
         return update_by_fields(mean, covariance, columns, measurement.mean, measurement.variances)
     observe = observe_fields(measurement, fields)
     return linear_update(mean, covariance, measurement.mean - observe @ mean, observe, measurement.covariance)
@@ -359,21 +305,25 @@ def update_seen(
     fields: tuple[str, ...],
     measurement: Measurement,
     is_unscented: bool,
-    linear: tuple[Floats, Floats] | None = None,
 ) -> Updated | None:
-    """The update by quantities z = h(x) + N(0, R); None where h has no value near the mean.
+    """The update by quantities z = h(x) + N(0, R), or by their `errors`; None where h has no value near m.
 
     By h's derivative at the mean, or at sigma points +-sqrt(max(K, 3)) sds away, K the covariance's rank.
-    Angles are taken as the shorter way from that of the mean; `linear` is of `linearise_seen`, if known.
+    Angles are taken as the shorter way from that of the mean.
     """
     assert measurement.seen is not None
+    if measurement.errors is not None:
+        return update_by_errors(mean, covariance, fields, measurement)
     quantities = measurement.seen
-    centre, slopes = linearise_seen(mean[None], fields, quantities)[0] if linear is None else linear
+    centre, slopes = (array[0] for array in linearise_seen(mean[None], fields, quantities))
     if not (np.isfinite(centre).all() and np.isfinite(slopes).all()):
         return None
     measured = centre + quantities.less(measurement.mean, centre)
     if quantities.covariance is not None:
-        measurement = evolve(measurement, covariance=quantities.covariance(centre))
+        noise = quantities.covariance(centre[None])[0]
+        if quantities.extra_covariance is not None:
+            noise = noise + quantities.extra_covariance
+        measurement = evolve(measurement, covariance=noise)
     if quantities.beyond is not None:
         shift, spread = quantities.beyond(mean, covariance)
         measurement = evolve(measurement, covariance=measurement.covariance + spread)
@@ -395,7 +345,7 @@ def update_seen(
     if not (np.isfinite(update.mean).all() and np.isfinite(update.covariance).all()):
         return None
     if quantities.shared:
-        columns = _columns_of(quantities.shared, fields)
+        columns = measured_columns(quantities.shared, fields)
         moments = allow_for(columns, (mean, covariance), (update.mean, update.covariance))
         update = evolve(update, mean=moments[0], covariance=moments[1])
     return update
@@ -413,38 +363,3 @@ def allow_for(
     block = np.ix_(columns, columns)
     mean[list(columns)], covariance[block] = prior[0][list(columns)], prior[1][block]
     return mean, covariance
-
-
-def mix_choices(
-    mean: Floats,
-    covariance: Floats,
-    fields: tuple[str, ...],
-    measured: Measurement,
-    is_unscented: bool,
-    linear: tuple[Floats, Floats] | None = None,
-) -> tuple[Floats, Floats, float]:
-    """Mean, covariance and log-evidence of the mixture of the updates by each choice, and by none.
-
-    Where functions of the state have no value at the mean nothing is used. `linear` is that of `update_seen`,
-    the same of all choices.
-    """
-    weights, means, covariances, evidence = [measured.missed], [mean], [covariance], measured.missed
-    for weight, choice in measured.choices:
-        if choice.seen is None:
-            update = update_by(mean, covariance, fields, choice)
-        else:
-            if linear is None:
-                linear = linearise_seen(mean[None], fields, choice.seen)[0]
-            by_function = update_seen(mean, covariance, fields, choice, is_unscented, linear)
-            if by_function is None:
-                return mean, covariance, 0.0
-            update = by_function
-        weights.append(weight)
-        means.append(update.mean)
-        covariances.append(update.covariance)
-        evidence += weight * float(np.exp(update.log_likelihood))
-    shares = np.array(weights)
-    centre = shares @ np.array(means)
-    shifts = np.array(means) - centre
-    spread = np.einsum("k,kij->ij", shares, np.array(covariances)) + (shifts * shares[:, None]).T @ shifts
-    return centre, symmetric(spread), float(np.log(max(evidence, 1e-300)))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, LEAST_SIDE_PX, Ancestors, MotionModel
 from bayesnet_track.belief.motion.borders import Confined, Reflecting
 from bayesnet_track.belief.motion.delayed import Delayed
-from bayesnet_track.belief.motion.models import KinematicMotion
+from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion
@@ -20,6 +21,7 @@ from bayesnet_track.graph.checked import CLOCK, RATE, LastingError
 from bayesnet_track.graph.settings.motion import BoxSd, Moving, SizeReversion
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import ANGLE
+from bayesnet_track.observation.planes import read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,6 +264,13 @@ class Nested:
 
     def linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         """F and Q of the model; each deviation's are what is kept of it and the variance that is added."""
+        return self.moves(dt) or self._linearise(state, dt)
+
+    def moves(self, dt: float) -> tuple[Floats, Floats] | None:
+        """F and Q, read-only, of every state, where the model is linear with Gaussian noise; else None."""
+        return _moves(self, dt)
+
+    def _linearise(self, state: Floats, dt: float) -> tuple[Floats, Floats]:
         count = len(self.deviations)
         transition, covariance = (
             np.pad(matrix, (0, count)) for matrix in self.motion.linearise(state[:-count], dt)
@@ -330,6 +339,17 @@ class Nested:
 
     def _deviations_of(self, states: Floats) -> Floats:
         return states[:, -len(self.deviations) :]
+
+
+@lru_cache(maxsize=256)
+def _moves(nested: Nested, dt: float) -> tuple[Floats, Floats] | None:
+    try:
+        if isinstance(nested.motion, KinematicMotion) and linear_gaussian(nested.motion, dt):
+            transition, noise = nested._linearise(np.ones(len(nested.fields)), dt)
+            return read_only(transition), read_only(noise)
+    except ValueError:  # its noise depends on the state
+        pass
+    return None
 
 
 def _with(states: Floats, columns: Floats) -> Floats:

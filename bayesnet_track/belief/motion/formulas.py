@@ -161,26 +161,23 @@ def derivative(function: Callable[[Floats], Floats], state: Floats) -> Floats:
 
     Steps of eps^(1/3) max(1, |x|), which balance rounding and curvature: about 1e-10 of the scale.
     """
-    step = np.cbrt(np.finfo(np.float64).eps) * np.maximum(1.0, np.abs(state))
-    upper, lower = state + np.diag(step), state - np.diag(step)
-    # What was really added, after rounding.
-    spacing = np.diagonal(upper) - np.diagonal(lower)
-    values = function(np.concatenate([upper, lower]))
-    size = len(state)
-    return np.asarray(((values[:size] - values[size:]) / spacing[:, None]).T)
+    return np.asarray(derivatives(function, state[None])[0])
 
 
-def linearise_seen(means: Floats, fields: tuple[str, ...], quantities: Seen) -> list[tuple[Floats, Floats]]:
-    """Of each state (T, D) the values h(x) (K,), and the derivative (K, D) there by central differences."""
+def linearise_seen(means: Floats, fields: tuple[str, ...], quantities: Seen) -> tuple[Floats, Floats]:
+    """Values h(x) (T, K) of states (T, D), and derivatives (T, K, D); by central differences if need be."""
+    if quantities.linearise is not None:
+        return quantities.linearise(means)
 
     def values_at(states: Floats) -> Floats:
         return quantities.function(dict(zip(fields, states.T, strict=True)))
 
-    centres = values_at(means)
-    repeated = np.tile(centres, (2 * means.shape[1], 1))
-    slopes = derivatives(lambda states: repeated + quantities.less(values_at(states), repeated), means)
-    transposed = np.ascontiguousarray(np.swapaxes(slopes, 1, 2))
-    return [(centre, slope.T) for centre, slope in zip(centres, transposed, strict=True)]
+    with np.errstate(all="ignore"):
+        centres = values_at(means)
+        repeated = np.tile(centres, (2 * means.shape[1], 1))
+        return centres, derivatives(
+            lambda states: repeated + quantities.less(values_at(states), repeated), means
+        )
 
 
 def extended_update(

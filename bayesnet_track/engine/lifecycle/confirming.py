@@ -121,9 +121,9 @@ def _share_in_area(compiled: CompiledPlate, candidate: Candidate) -> float:
     if views is None or views.area is None:
         return 1.0
     if candidate.mean is not None and candidate.covariance is not None:
-        return views.share_in_area(candidate.mean, candidate.covariance)
+        return float(views.shares_in_area(candidate.mean[None], candidate.covariance[None])[0])
     placed = views.place(candidate.box)
-    return 0.0 if placed is None else views.share_in_area(placed.states[0], placed.covariances[0])
+    return 0.0 if placed is None else float(views.shares_in_area(placed.states, placed.covariances)[0])
 
 
 def _least_share(births: Births) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from bayesnet_track.adapt.lifecycle import AppearanceMemory, overlapping
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
@@ -78,13 +80,16 @@ def _outside(tracks: LiveTable, plate: str, limit: float) -> dict[str, float]:
     views = tracks.engine.plates[plate].views
     if views is None or views.area is None:
         return {}
-    shares: dict[str, float] = {}
-    for target in tracks.of_plate(plate):
-        state = tracks.state(target)
-        share = views.share_in_area(*moments_of(state.belief)) * (state.existence or 1.0)
-        if share < limit:
-            shares[target] = share
-    return shares
+    states = {target: tracks.state(target) for target in tracks.of_plate(plate)}
+    if not states:
+        return {}
+    means, covariances = zip(*(moments_of(state.belief) for state in states.values()), strict=True)
+    shares = views.shares_in_area(np.array(means), np.array(covariances)).tolist()
+    return {
+        target: existence
+        for (target, state), share in zip(states.items(), shares, strict=True)
+        if (existence := share * (state.existence or 1.0)) < limit
+    }
 
 
 def _end(tracks: LiveTable, plate: str, died: TargetDied) -> None:

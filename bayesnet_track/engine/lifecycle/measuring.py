@@ -9,7 +9,6 @@ graph gives, else found by following h from a place where its value is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,14 +16,16 @@ import numpy as np
 
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import MotionModel
+from bayesnet_track.belief.gaussian.rows import expect_seen
+from bayesnet_track.belief.motion.formulas import linearise_seen
 from bayesnet_track.belief.motion.start_prior import start_moments_of_each
 from bayesnet_track.engine.lifecycle.sensing import LOG_TURN, Begun, BoxSensor, Found, Mixed, Sensor
 from bayesnet_track.graph.checked import ANCHORED, CheckedTarget, Inverse, MeasuredAs
 from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.inference.factors import seen_by
-from bayesnet_track.numerics.arrays import Bools, Floats
-from bayesnet_track.numerics.gaussian import chi_square_quantile, root, sigma_points, symmetric
-from bayesnet_track.numerics.lenses import derivatives, follow_line
+from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.gaussian import Expectation, chi_square_quantile
+from bayesnet_track.numerics.lenses import follow_line
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
 from bayesnet_track.observation.protocols import Seen
@@ -56,23 +57,6 @@ def is_unscented(plate: CheckedTarget) -> bool:
     belief = plate.inference(plate.root).belief
     gaussian = None if belief is None else belief.gaussian
     return gaussian is not None and gaussian.filter == "unscented"
-
-
-@dataclass(frozen=True, eq=False)
-class Expectation:
-    """Expected detections of T targets.
-
-    Attributes:
-        values: (T, K) h of each.
-        spread: (T, K, K) S.
-        cross: (T, D, K) covariance of state and quantities.
-        is_known: (T,) whether h has a value there.
-    """
-
-    values: Floats
-    spread: Floats
-    cross: Floats
-    is_known: Bools
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +103,8 @@ class FunctionSensor:
         return mean[:, :4]
 
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
-        """Expected detections of targets (T, D), (T, D, D)."""
-        expect_moments = expect_by_points if self.is_unscented else expect_by_slopes
-        return expect_moments(self._of, self._near, mean, covariance, np.diag(self.variances))
+        """Expected detections of targets (T, D), (T, D, D), by a sensor without errors."""
+        return expect_seen(self._seen, self.fields, (mean, covariance), self.is_unscented)
 
     def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
         """Possible pairs: d^2 = v' S^-1 v, v the shorter way round of angles."""
@@ -141,7 +124,7 @@ class FunctionSensor:
         """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where h has no value."""
         expected = self.expect(mean, covariance)
         offsets = self._seen.less(detections.values[None], expected.values[:, None])
-        lower = np.linalg.cholesky(expected.spread)
+        lower = np.linalg.cholesky(expected.spread + np.diag(self.variances))
         scaled = np.linalg.solve(lower, np.swapaxes(offsets, 1, 2))
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=1), np.inf)
         half = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
@@ -149,21 +132,13 @@ class FunctionSensor:
 
     def mix(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> None:
         """Update beliefs: each choice gives the update of the extended or unscented filter."""
-        if not len(mixed.columns):
-            return
-        expected = self.expect(mean, covariance)
-        for row in np.flatnonzero(np.diff(mixed.starts) > 0).tolist():
-            pairs = slice(mixed.starts[row], mixed.starts[row + 1])
-            if not expected.is_known[row]:
-                continue
-            gain = np.linalg.solve(expected.spread[row], expected.cross[row].T).T
-            offsets = self._seen.less(detections.values[mixed.columns[pairs]], expected.values[row])
-            shares, moves = mixed.weights[pairs], offsets @ gain.T
-            shift = shares @ moves
-            total = float(shares.sum())
-            between = (moves * shares[:, None]).T @ moves - np.outer(shift, shift)
-            mean[row] += shift
-            covariance[row] = symmetric(covariance[row] - total * gain @ expected.cross[row].T + between)
+        from bayesnet_track.numerics.kernels.view_kernels import mix_expected
+
+        if len(mixed.columns):
+            expected, noise = self.expect(mean, covariance), np.diag(self.variances)
+            offsets = self._seen.less(detections.values[mixed.columns], expected.values[mixed.rows])
+            noises = np.broadcast_to(noise, (len(offsets), *noise.shape))
+            mix_expected((mean, covariance), expected, (offsets, noises), (mixed.starts, *mixed.shares))
         np.maximum(mean[:, 2:4], 1.0, out=mean[:, 2:4])
 
     def cover(self, mean: Floats, existence: Floats) -> Floats:
@@ -224,8 +199,7 @@ class FunctionSensor:
         return self._spread(states, spreads, columns, detections)
 
     def _spread(self, states: Floats, spread: Floats, columns: list[int], detections: Found) -> Begun:
-        expected = self._of(states)
-        slopes = derivatives(lambda points: self._near(points, expected), states)
+        expected, slopes = linearise_seen(states, self.fields, self._seen)
         prior = np.diagonal(spread, axis1=1, axis2=2).copy()
         prior[:, columns] = math.inf
         free = np.flatnonzero(prior.max(axis=0) > 0.0)
@@ -257,62 +231,3 @@ class FunctionSensor:
     def _of(self, states: Floats) -> Floats:
         """(N, K) h of states (N, D)."""
         return self._seen.function(dict(zip(self.fields, states.T, strict=True)))
-
-    def _near(self, states: Floats, expected: Floats) -> Floats:
-        """h of states (S * N, D), of angles near those expected of each of N."""
-        values = self._of(states)
-        tiled = np.tile(expected, (len(values) // len(expected), 1))
-        return tiled + self._seen.less(values, tiled)
-
-
-Values = Callable[[Floats], Floats]
-"""(N, D) states -> (N, K) values; NaN where there is none."""
-
-Near = Callable[[Floats, Floats], Floats]
-"""(S * N, D) states, (N, K) values -> (S * N, K) values, of angles the turn that is near those given."""
-
-
-def expect_by_slopes(
-    measure: Values, measure_near: Near, mean: Floats, covariance: Floats, noise: Floats
-) -> Expectation:
-    """Expected detections of states N(mean, covariance), by the derivative at the mean."""
-    with np.errstate(all="ignore"):
-        values = measure(mean)
-        slopes = derivatives(lambda states: measure_near(states, values), mean)
-        cross = covariance @ np.swapaxes(slopes, 1, 2)
-        spread = slopes @ cross + noise
-    return _known(values, spread, cross)
-
-
-def expect_by_points(
-    measure: Values, measure_near: Near, mean: Floats, covariance: Floats, noise: Floats
-) -> Expectation:
-    """The same by sigma points."""
-    count, size = mean.shape
-    width = len(noise)
-    values, spread = np.empty((count, width)), np.empty((count, width, width))
-    cross = np.zeros((count, size, width))
-    with np.errstate(all="ignore"):
-        for row in range(count):
-            lower = root(covariance[row])
-            rank = lower.shape[1]
-            scale = max(rank, 3.0)
-            unit = sigma_points(rank, scale)
-            weights = np.full(len(unit), 0.5 / scale)
-            weights[0] = 1.0 - rank / scale
-            middle = measure(mean[row][None])
-            points = measure_near(mean[row] + unit @ lower.T, middle)
-            values[row] = weights @ points
-            weighted = (points - values[row]) * weights[:, None]
-            spread[row] = weighted.T @ (points - values[row]) + noise
-            cross[row] = lower @ (unit.T @ weighted)
-    return _known(values, spread, cross)
-
-
-def _known(values: Floats, spread: Floats, cross: Floats) -> Expectation:
-    """The expectation, with harmless numbers where h has no value."""
-    width = values.shape[1]
-    is_known = np.asarray(np.isfinite(values).all(axis=1) & np.isfinite(spread).all(axis=(1, 2)))
-    values, cross = np.where(is_known[:, None], values, 0.0), np.where(is_known[:, None, None], cross, 0.0)
-    spread = np.where(is_known[:, None, None], (spread + np.swapaxes(spread, 1, 2)) / 2, np.eye(width))
-    return Expectation(values, spread, cross, is_known)

@@ -95,6 +95,16 @@ class Mixed:
     weights: Floats
     missed: Floats
 
+    @property
+    def rows(self) -> Ints:
+        """(P,) which target."""
+        return np.repeat(np.arange(len(self.missed)), np.diff(self.starts))
+
+    @property
+    def shares(self) -> tuple[Floats, Floats]:
+        """(P,) and (T,) the probabilities."""
+        return self.weights, self.missed
+
 
 class Sensor(Protocol):
     """Interface of detectors and other sensors for association."""

@@ -14,18 +14,15 @@ import numpy as np
 from bayesnet_track.adapt.cameras import PlateClocks
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import LEAST_SIDE_M, MotionModel
-from bayesnet_track.engine.lifecycle.measuring import (
-    Expectation,
-    expect_by_points,
-    expect_by_slopes,
-    is_unscented,
-)
+from bayesnet_track.belief.gaussian.rows import expect_seen
+from bayesnet_track.belief.gaussian.update import measured_columns
+from bayesnet_track.engine.lifecycle.measuring import is_unscented
 from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
 from bayesnet_track.graph.checked import CheckedTarget, LastingError
 from bayesnet_track.inference.views import View, Views, cut_covariance, place
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.cameras import UNSEEN
-from bayesnet_track.numerics.gaussian import chi_square_quantile, symmetric
+from bayesnet_track.numerics.gaussian import Expectation, chi_square_quantile
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
@@ -56,6 +53,7 @@ class ViewSensor:
     Attributes:
         association: the agent's rule.
         agent: the agent.
+        fields: names of the D fields of a state.
         views: of the plate.
         view: through which it looks.
         is_unscented: whether moments are by sigma points.
@@ -66,6 +64,7 @@ class ViewSensor:
 
     association: AssociationRule
     agent: str
+    fields: tuple[str, ...]
     views: Views
     view: View
     is_unscented: bool = False
@@ -85,14 +84,8 @@ class ViewSensor:
 
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
         """Expected detections of targets (T, D), (T, D, D), by a detector without errors."""
-        expect_moments = expect_by_points if self.is_unscented else expect_by_slopes
-        expected = expect_moments(self._of, self._near, mean, covariance, np.zeros((WIDTH, WIDTH)))
-        if self.view.clock is not None:
-            for row in np.flatnonzero(expected.is_known).tolist():
-                shift, spread = self.view.beyond(mean[row], covariance[row])
-                expected.values[row] += 0.0 if self.is_unscented else shift
-                expected.spread[row] += spread
-        return expected
+        seen = self.view.box_quantities(self.agent)
+        return expect_seen(seen, self.fields, (mean, covariance), self.is_unscented)
 
     def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
         """Possible pairs, as of every sensor."""
@@ -110,31 +103,16 @@ class ViewSensor:
 
     def mix(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> None:
         """Update beliefs: each choice gives the update of the extended or unscented filter."""
-        rows = np.flatnonzero(np.diff(mixed.starts) > 0)
-        if not len(rows):
-            return
-        expected = self.expect(mean[rows], covariance[rows])
-        noise = self._noise(mean[rows], detections)
-        first = mean.shape[1] - len(self.views.lasting)
-        shared = [first + k for k, error in enumerate(self.views.lasting) if error.is_shared]
-        for index, row in enumerate(rows.tolist()):
-            if not expected.is_known[index]:
-                continue
-            pairs = slice(mixed.starts[row], mixed.starts[row + 1])
-            columns, shares = mixed.columns[pairs], mixed.weights[pairs]
-            cross = expected.cross[index]
-            spread = expected.spread[index] + noise[index, columns]
-            gains = np.swapaxes(
-                np.linalg.solve(spread, np.broadcast_to(cross.T, (len(columns), *cross.T.shape))), 1, 2
-            )
-            moves = (gains @ (detections.values[columns] - expected.values[index])[:, :, None])[:, :, 0]
-            moves[:, shared] = 0.0
-            shift = shares @ moves
-            between = (moves * shares[:, None]).T @ moves - np.outer(shift, shift)
-            drop = np.einsum("k,kij->ij", shares, gains @ cross.T)
-            drop[np.ix_(shared, shared)] = 0.0  # Schmidt's update, as of `belief.gaussian.update.allow_for`
-            mean[row] += shift
-            covariance[row] = symmetric(covariance[row] - drop + between)
+        from bayesnet_track.numerics.kernels.view_kernels import mix_expected
+
+        if len(mixed.columns):
+            expected, rows = self.expect(mean, covariance), mixed.rows
+            boxes = detections.values[mixed.columns]
+            noises = self._noise(expected)[rows] + cut_covariance(self.view.camera, boxes)
+            innovations = boxes - expected.values[rows]
+            choices = (mixed.starts, *mixed.shares)
+            considered = measured_columns(self.view.shared, self.fields)
+            mix_expected((mean, covariance), expected, (innovations, noises), choices, considered)
         np.maximum(mean[:, 2:4], LEAST_SIDE_M, out=mean[:, 2:4])
 
     def cover(self, mean: Floats, existence: Floats) -> Floats:
@@ -203,7 +181,11 @@ class ViewSensor:
     def _distances(self, mean: Floats, covariance: Floats, detections: Found) -> tuple[Floats, Floats]:
         """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where the camera sees nothing."""
         expected = self.expect(mean, covariance)
-        lower = np.linalg.cholesky(expected.spread[:, None] + self._noise(mean, detections))
+        cut = cut_covariance(self.view.camera, detections.values)
+        spread = np.where(
+            expected.is_known[:, None, None], expected.spread + self._noise(expected), np.eye(WIDTH)
+        )
+        lower = np.linalg.cholesky(spread[:, None] + cut)
         offsets = detections.values[None] - expected.values[:, None]
         scaled = np.linalg.solve(lower, offsets[..., None])[..., 0]
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=2), np.inf)
@@ -274,24 +256,16 @@ class ViewSensor:
         """True of the error of the camera's calibration."""
         return error.node == self.view.node and error.is_shared
 
-    def _noise(self, mean: Floats, detections: Found) -> Floats:
-        """(T, N, 4, 4) of the errors of detections that differ from frame to frame, cut edges included.
-
-        They are those of a detection of the box of states (T, D), as in `inference.views.through`.
-        """
-        noise = self.association.variances(self.boxes(mean, self.agent))[:, :, None] * np.eye(WIDTH)
-        return noise[:, None] + cut_covariance(self.view.camera, detections.values)
-
-    def _of(self, states: Floats) -> Floats:
-        return self.view.boxes(self.views.named(states), self.agent)
-
-    def _near(self, states: Floats, expected: Floats) -> Floats:
-        return self._of(states)
+    def _noise(self, expected: Expectation) -> Floats:
+        """(T, 4, 4) of errors that differ from frame to frame, of detections of expected boxes."""
+        return self.association.variances(expected.at_mean)[:, :, None] * np.eye(WIDTH)
 
 
-def make_view_sensor(plate: CheckedTarget, agent: str, rule: AssociationRule, views: Views) -> ViewSensor:
+def make_view_sensor(
+    plate: CheckedTarget, agent: str, rule: AssociationRule, fields: tuple[str, ...], views: Views
+) -> ViewSensor:
     """The sensor of an agent below a view that is given detections of boxes."""
     seen_by = plate.seen_by(agent)
     assert seen_by is not None
     view = next(entry for entry in views.views.values() if entry.seen_by == seen_by.name)
-    return ViewSensor(rule, agent, views, view, is_unscented(plate))
+    return ViewSensor(rule, agent, fields, views, view, is_unscented(plate))

@@ -33,13 +33,12 @@ from bayesnet_track.inference.measure import (
     measure,
     measure_rows,
     state_columns,
-    uncertainties,
 )
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.numerics.log_weights import LogWeights, column_index, effective
+from bayesnet_track.numerics.log_weights import LogWeights, column_index, effective, uncertainties
 from bayesnet_track.observation.cue import Hypotheses, Reference
 
 
@@ -189,7 +188,7 @@ class FilteredRows(Mapping[str, Filtered]):
         picks, prior = column_index(columns), np.tile(self.prior.log, (len(log), 1))
         uds = uncertainties(self.clouds.states[:, :, picks], self.clouds.weights, self.best[:, picks])
         agents = [observation.agent for observation in self.plan.observations]
-        return StepArrays(agents, (), self.messages, prior, log, self.boxes, uds)
+        return StepArrays(agents, (), self.messages, prior, log, self.boxes, {self.plan.root: uds})
 
     @property
     def existence(self) -> Floats | None:
