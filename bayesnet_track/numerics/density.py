@@ -1,4 +1,4 @@
-"""Mixtures of Gaussians: log-density, largest point of a weighted one; Markov chains of few states.
+"""Mixtures of Gaussians: log-density, largest point of a weighted one, quantiles.
 
 A sum over all components in double precision is expensive. So a likely winner sets the value to beat;
 points that cannot reach it by an upper bound are given up; sums in single precision, of a known error, over
@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -420,53 +418,3 @@ def mixture_quantiles(
     components = [(sd, share) for sd, share in zip(sds, shares, strict=True) if share > 0.0]
     widths, weights = np.array(components, dtype=np.float64).T.copy()
     return quantiles(centres, widths, weights, targets)
-
-
-Rows = tuple[tuple[float, ...], ...]
-
-
-@dataclass(frozen=True)
-class Chain:
-    """A chain of K states.
-
-    Attributes:
-        rows: (K, K) rates per frame interval, each row summing to 0; or the transition matrix of one frame
-            interval, each row summing to 1.
-        by_rates: whether they are rates.
-    """
-
-    rows: Rows
-    by_rates: bool
-
-    def over(self, dt: float) -> Floats:
-        """(K, K) probabilities of the state `dt` frame intervals later, by the state before; read-only.
-
-        By rates it is exact for any `dt`. A matrix is raised to the whole part of `dt`; what is left of it is
-        the share of one more step.
-        """
-        return _over(self, dt)
-
-    def stationary(self) -> Floats:
-        """(K,) shares of time in the long run."""
-        matrix = self.over(1.0)
-        size = len(matrix)
-        system = np.concatenate([matrix.T - np.eye(size), np.ones((1, size))])
-        shares = np.linalg.lstsq(system, np.append(np.zeros(size), 1.0), rcond=None)[0]
-        shares = np.maximum(shares, 0.0)
-        return np.asarray(shares / shares.sum())
-
-
-@lru_cache(maxsize=256)
-def _over(chain: Chain, dt: float) -> Floats:
-    matrix = np.array(chain.rows)
-    if chain.by_rates:
-        from scipy.linalg import expm  # here, because it takes long to import
-
-        transition = np.maximum(expm(matrix * dt), 0.0)
-    else:
-        power = int(dt)
-        step = (1.0 - (dt - power)) * np.eye(len(matrix)) + (dt - power) * matrix
-        transition = np.linalg.matrix_power(matrix, power) @ step
-    transition = np.asarray(transition / transition.sum(axis=1, keepdims=True))
-    transition.setflags(write=False)
-    return transition

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.numerics.density import Chain
+from bayesnet_track.numerics.distributions import Chain
 
 RATES = Chain(((-0.1, 0.1), (0.5, -0.5)), by_rates=True)
 MATRIX = Chain(((0.9, 0.1, 0.0), (0.0, 0.8, 0.2), (0.5, 0.0, 0.5)), by_rates=False)

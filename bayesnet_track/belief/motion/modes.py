@@ -19,7 +19,7 @@ from bayesnet_track.graph.settings.motion import Hidden, Mode
 from bayesnet_track.graph.settings.net import Category
 from bayesnet_track.graph.spec import InferenceNode
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.density import Chain
+from bayesnet_track.numerics.distributions import Chain
 
 FIELD = "mode"
 """Name of the last column of the states of particles: the number of the mode."""
