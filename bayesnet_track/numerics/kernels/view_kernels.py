@@ -99,9 +99,12 @@ def mix_seen_rows(
         if not is_known[t] or starts[t] == starts[t + 1]:
             continue
         evidence, cross = missed[t], crosses[t]
-        shift[:], change[:] = 0.0, 0.0
+        shift[:] = 0.0
+        change[:] = 0.0
         for n in range(starts[t], starts[t + 1]):
-            total[:] = spreads[t] + noises[n]
+            for i in range(width):
+                for j in range(width):
+                    total[i, j] = spreads[t, i, j] + noises[n, i, j]
             half_log, d2 = factor(total, lower, width), 0.0
             for i in range(width):
                 value = innovations[n, i]
