@@ -33,9 +33,10 @@ from real_video_whole import HEAD, describe_difference, means_of, row_of
 from sequences import STRATA, find_sequences
 
 from bayesnet_track.belief.contract import estimate
-from bayesnet_track.engine import filtering, on_call
+from bayesnet_track.engine import filtering, second_steps
+from bayesnet_track.engine.second_steps import overlap_of_two
 from bayesnet_track.graph.spec import GraphSpec
-from bayesnet_track.numerics.boxes import centre_from_corner, overlap_of_two
+from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.runtime.tracker import Tracker
 
 NEVER, ALWAYS = "never", "always"
@@ -98,7 +99,7 @@ class Decision:
 @contextmanager
 def replaced(decision: Decision) -> Iterator[None]:
     """The engine with another decision when agents on call look."""
-    update, call = Tracker.update, on_call.call_agents
+    update, call = Tracker.update, second_steps.call_agents
 
     def follow(tracker: Tracker, *image: Any) -> Any:
         answer = update(tracker, *image)
@@ -109,7 +110,7 @@ def replaced(decision: Decision) -> Iterator[None]:
         root = work.plate_of(target).plate
         box = estimate(root.inference(root.root).estimate, steps[1])
         looks = work.frame.index < len(decision.truth) and decision.looks(work.frame.index, box)
-        with patch.object(on_call, "is_due", lambda *_: looks):
+        with patch.object(second_steps, "is_due", lambda *_: looks):
             return call(work, target, before, observer, steps)
 
     with ExitStack() as stack:

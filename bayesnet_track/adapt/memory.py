@@ -17,7 +17,6 @@ from functools import lru_cache
 import numpy as np
 
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import Adapt
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import evolve
 
@@ -59,12 +58,6 @@ class InformationRate:
             return math.inf
         total = sum(self.frames.values())
         return mean + exploration * math.sqrt(math.log1p(total) / self.frames[agent])
-
-
-def goes_by_information(rules: Adapt) -> bool:
-    """True where rules choose agents by what they contributed."""
-    activates = rules.activate is not None and rules.activate.which == "information_per_ms"
-    return activates or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")
 
 
 BASELINE_WINDOW = 50

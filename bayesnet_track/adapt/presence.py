@@ -16,7 +16,6 @@ and each detection less. Blind and hidden are states of one target and one detec
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -211,17 +210,3 @@ class Weights:
 
 SHIFT = 1.0 / 3.0
 """Boxes of one size that are shifted by this share of a side overlap by a half (IoU)."""
-
-
-def probability_in_box(mean: Floats, covariance: Floats) -> Floats:
-    """(T,) probabilities that targets are shifted from their box by at most a third of a side in x and in y.
-
-    Means (T, D) of x, y, w, h, ... and covariances (T, D, D).
-
-    >>> mean, covariance = np.array([[50.0, 40, 30, 60]]), np.diag([10.0, 1e-6, 1, 1])[None] ** 2
-    >>> float(probability_in_box(mean, covariance)[0].round(4))  # within one sd
-    0.6827
-    """
-    sd = np.sqrt(np.maximum(covariance[:, (0, 1), (0, 1)], 1e-12))
-    reach = (SHIFT * mean[:, 2:4] / sd / math.sqrt(2.0)).ravel().tolist()
-    return np.asarray(np.array([math.erf(value) for value in reach]).reshape(-1, 2).prod(axis=1))

@@ -18,12 +18,11 @@ from bayesnet_track.adapt.memory import (
     Baseline,
     InformationRate,
     RuleMemory,
-    goes_by_information,
 )
 from bayesnet_track.adapt.rule_inputs import AgentColumns, GroupMeasures, RuleInputs, apply_test
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.settings.net import AGENT_RULES
-from bayesnet_track.graph.spec import Condition, Level, Lost
+from bayesnet_track.graph.spec import Adapt, Condition, Level, Lost
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.records import evolve
 
@@ -134,7 +133,7 @@ def _with_contributions(
     rates = memory.worth
     for node in layout.nodes:
         rules = inputs.plate.inference(node).adapt
-        if rules is not None and goes_by_information(rules):
+        if rules is not None and _goes_by_information(rules):
             governed = [k for k, agent in enumerate(agents) if inputs.plate.governor[agent] == node]
             contributions = [{agents[k]: row[k] for k in governed} for row in contributed.tolist()]
             frames_kept = rules.information.memory_frames
@@ -311,3 +310,9 @@ def _due(inputs: RuleColumns, counts: Ints, frames: int, two_levels: bool) -> Bo
     if inputs.is_hidden is not None:
         is_due = np.where(inputs.is_hidden, ~is_lost, is_due)
     return np.asarray(is_due)
+
+
+def _goes_by_information(rules: Adapt) -> bool:
+    """True where rules choose agents by what they contributed."""
+    activates = rules.activate is not None and rules.activate.which == "information_per_ms"
+    return activates or (rules.deactivate is not None and rules.deactivate.drop == "min_information_per_ms")

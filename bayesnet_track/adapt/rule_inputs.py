@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
@@ -9,12 +10,11 @@ from typing import Literal
 
 import numpy as np
 
-from bayesnet_track.adapt.memory import RuleMemory, Streak
+from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.rules.agent_rule import AgentMeasure, AgentRule
-from bayesnet_track.graph.spec import Concentrated, Level
-from bayesnet_track.journal.target_net import Cause, Concentration, HiddenCause, RuleCause, TargetNet
-from bayesnet_track.journal.text.wording import UNIT
+from bayesnet_track.graph.rules.agent_rule import AgentMeasure
+from bayesnet_track.graph.spec import Concentrated, Learn, Level
+from bayesnet_track.journal.target_net import Cause, Concentration, HiddenCause, TargetNet
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import vouched_share
 
@@ -343,16 +343,6 @@ def read_ud(inputs: RuleInputs, memory: RuleMemory, node: str, level: Level) -> 
     return read_level(level, inputs.measures.ud_px2[node], inputs.measures.area_of(node), quiet)
 
 
-def read_ud_beside_more(inputs: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
-    """Read the UD as `read_ud`, by the baseline of more agents than are on where that of so few is unknown.
-
-    It is the lower one, so that help is called early; for a target that is lost, of which no baseline is
-    measured.
-    """
-    quiet = memory.level_px2(node, frozenset())
-    return read_level(level, inputs.measures.ud_px2[node], inputs.measures.area_of(node), quiet)
-
-
 def count_left_out(plate: CheckedTarget, active: AbstractSet[str], node: str) -> int:
     """Number of the active agents below an inference node its `adapt.agents` leaves out."""
     adapt = plate.inference(node).adapt
@@ -362,19 +352,34 @@ def count_left_out(plate: CheckedTarget, active: AbstractSet[str], node: str) ->
     return sum(plate.governor[agent] not in (node, *descendants) for agent in active & descendants)
 
 
-def cause_of(
-    inputs: RuleInputs, memory: RuleMemory, streak: Streak, rule: AgentRule, frames: int
-) -> Cause | RuleCause:
-    """The numbers of a rule by which an agent switches itself, whose streak has reached so many frames."""
-    key, agent = streak
-    value, level, unit = float(rule.values(AgentColumns(agent, (inputs,)))[0]), rule.level, rule.unit
-    values = memory.streak_values(streak)[-frames:]
-    turning = min(values) if rule.relation == ">" else max(values)
-    if isinstance(level, Level):
-        quiet = baseline_level(inputs.plate, inputs.net.active, memory, inputs.plate.root)
-        reading = read_level(level, value, inputs.measures.area_px2, quiet)
-        assert reading is not None
-        if rule.cause == "ud":
-            return reading.cause(frames, turning)
-        value, level, unit = reading.value, reading.level, UNIT[reading.unit]
-    return RuleCause(key, rule.quantity, unit, rule.relation, level, value, frames, turning)
+def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2: float | None) -> float:
+    """Share of the largest rate at this UD: (1 - tanh(2 (UD - theta) / theta)) / 2, 0 from theta upward.
+
+    Thesis eq. 2.16. As printed it applies to every target whose UD is below theta and replaces more than half
+    of the reference there, so learning multiplies it by a largest rate (corrected).
+
+    >>> from bayesnet_track.graph.spec import Learn, Level
+    >>> rule = Learn(below=Level(ud_px2=100.0))
+    >>> round(learning_rate(rule, 50.0, 1.0, None), 4), learning_rate(rule, 100.0, 1.0, None)
+    (0.8808, 0.0)
+    """
+    scale = None if rule is None else scale_of(rule.below, area_px2, quiet_px2)
+    if rule is None or scale is None:
+        return 0.0
+    value, level = ud_px2 / scale, rule.below.settings
+    return 0.0 if value >= level else 0.5 * (1.0 - math.tanh(2.0 * (value - level) / level))
+
+
+def largest_rate(rule: Learn | None, rate: float, frames: int) -> float:
+    """The largest rate of an agent whose own is `rate`, so many frames after its target started.
+
+    The reference of the first frame is one sample. At a rate of 1 / n in the n-th frame it becomes the mean
+    of n samples; a small constant rate would keep most of the first one for long.
+
+    >>> from bayesnet_track.graph.spec import Learn, Level
+    >>> rule = Learn(below=Level(ud_px2=100.0), early_rate=1.0)
+    >>> largest_rate(rule, 0.02, 1), largest_rate(rule, 0.02, 99), largest_rate(rule, 0.0, 1)
+    (0.5, 0.02, 0.0)
+    """
+    early = 0.0 if rule is None else rule.early_rate
+    return max(rate, early / (frames + 1)) if rate > 0.0 else 0.0

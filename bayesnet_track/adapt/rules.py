@@ -18,18 +18,18 @@ import numpy as np
 from bayesnet_track.adapt.memory import InformationRate, RuleMemory, Streak
 from bayesnet_track.adapt.rule_columns import RuleColumns, remember_frame
 from bayesnet_track.adapt.rule_inputs import (
+    AgentColumns,
     Reading,
     RuleInputs,
     Tested,
     apply_test,
     baseline_level,
-    cause_of,
     count_left_out,
     read_level,
     read_ud,
-    read_ud_beside_more,
 )
 from bayesnet_track.adapt.status import judge_status, on_call_rule, quarantine
+from bayesnet_track.graph.rules.agent_rule import AgentRule
 from bayesnet_track.graph.spec import Adapt, Condition, Information, Level
 from bayesnet_track.journal.events.faults import Readmitted
 from bayesnet_track.journal.events.switches import (
@@ -40,6 +40,8 @@ from bayesnet_track.journal.events.switches import (
     SelfStopped,
 )
 from bayesnet_track.journal.net import Decision
+from bayesnet_track.journal.target_net import Cause, RuleCause
+from bayesnet_track.journal.text.wording import UNIT
 from bayesnet_track.numerics.records import evolve
 
 MISSED_FRAMES = 3
@@ -131,12 +133,12 @@ def _check_agents(
             continue
         if count >= rule.frames and len(active) > 1:
             pause = rule.rest * 2 ** min(inputs.net.rest_count.get(agent, 0), 20)
-            cause = cause_of(inputs, memory, streak, rule, rule.frames)
+            cause = _cause_of(inputs, memory, streak, rule, rule.frames)
             decisions.append(SelfStopped(inputs.frame, inputs.target, agent, cause, inputs.frame + 1 + pause))
             active.discard(agent)
             ended += [streak for streak in memory.layout.rules if streak[1] == agent]
         elif rule.adapts_first and agent in inputs.adaptable and count < rule.frames:
-            cause = cause_of(inputs, memory, streak, rule, 1)
+            cause = _cause_of(inputs, memory, streak, rule, 1)
             decisions.append(LocallyAdapted(inputs.frame, inputs.target, agent, count, cause))
 
 
@@ -168,7 +170,7 @@ def _govern(
     if activation is not None and memory.count(on_streak) >= activation.frames:
         reading = _find(inputs, memory, node, activation.above, activation.unless)
         if reading is None and inputs.net.status == "lost" and activation.above is not None:
-            reading = read_ud_beside_more(inputs, memory, node, activation.above)
+            reading = _read_ud_beside_more(inputs, memory, node, activation.above)
         assert reading is not None
         selected = _choose_to_activate(inputs, memory, node, rules)
         cause = reading.cause_above(activation.frames, memory.streak_values(on_streak))
@@ -383,3 +385,31 @@ def remembered_per_ms(
 ) -> dict[str, float]:
     """Agent -> mean information that it gave per declared cost, nats per ms; for agents that are active."""
     return {agent: (rates.mean(agent) or 0.0) / costs_ms[agent] for agent in agents}
+
+
+def _read_ud_beside_more(inputs: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
+    """Read the UD as `read_ud`, by the baseline of more agents than are on where that of so few is unknown.
+
+    It is the lower one, so that help is called early; for a target that is lost, of which no baseline is
+    measured.
+    """
+    quiet = memory.level_px2(node, frozenset())
+    return read_level(level, inputs.measures.ud_px2[node], inputs.measures.area_of(node), quiet)
+
+
+def _cause_of(
+    inputs: RuleInputs, memory: RuleMemory, streak: Streak, rule: AgentRule, frames: int
+) -> Cause | RuleCause:
+    """The numbers of a rule by which an agent switches itself, whose streak has reached so many frames."""
+    key, agent = streak
+    value, level, unit = float(rule.values(AgentColumns(agent, (inputs,)))[0]), rule.level, rule.unit
+    values = memory.streak_values(streak)[-frames:]
+    turning = min(values) if rule.relation == ">" else max(values)
+    if isinstance(level, Level):
+        quiet = baseline_level(inputs.plate, inputs.net.active, memory, inputs.plate.root)
+        reading = read_level(level, value, inputs.measures.area_px2, quiet)
+        assert reading is not None
+        if rule.cause == "ud":
+            return reading.cause(frames, turning)
+        value, level, unit = reading.value, reading.level, UNIT[reading.unit]
+    return RuleCause(key, rule.quantity, unit, rule.relation, level, value, frames, turning)

@@ -55,11 +55,6 @@ def on_call_rule(plate: CheckedTarget) -> OnCall | None:
     return None if rules is None else rules.on_call
 
 
-def is_due(net: TargetNet, frame: int) -> bool:
-    """True where agents on call run in a frame, whatever the others say of it."""
-    return net.turn is None or frame >= net.turn.due or net.status == "lost"
-
-
 def judge_status(inputs: RuleInputs, memory: RuleMemory, decisions: list[Decision]) -> None:
     """Change the status after as many frames as the rule says.
 

@@ -26,13 +26,16 @@ from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPoster
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.motion.modes import Modes
+from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.frame_context import FrameContext, ask_together
 from bayesnet_track.engine.modes import ModeState, combination_probabilities, with_kinds
-from bayesnet_track.engine.moving.elsewhere import look_elsewhere
-from bayesnet_track.engine.moving.predicting import PredictedMotion, predict_motion
-from bayesnet_track.engine.moving.sudden import search_around
-from bayesnet_track.engine.on_call import call_agents, plan_without_calls
-from bayesnet_track.engine.shedding import within
+from bayesnet_track.engine.predicting import PredictedMotion, predict_motion
+from bayesnet_track.engine.second_steps import (
+    call_agents,
+    look_elsewhere,
+    plan_without_calls,
+    search_around,
+)
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Observe, Plan, compile_plan
@@ -404,3 +407,14 @@ def _evaluation(work: FrameContext, modes: Modes | None, observer: Observer, pla
     )
     sight = Sight(modes, work.frame.width, work.frame.height, unasked)
     return partial(evaluate_modes, plan, sight, visible)
+
+
+def within(belief: BeliefFilter[Any], limit: int | None) -> BeliefFilter[Any]:
+    """The belief with at most so many hypotheses."""
+    if limit is None or not isinstance(belief, ParticleFilter):
+        return belief
+    settings = belief.settings
+    if isinstance(settings.size, int):
+        return ParticleFilter(settings.model_copy(update={"size": min(settings.size, limit)}))
+    limits = {"min": min(settings.least, limit), "max": min(settings.most, limit)}
+    return ParticleFilter(settings.model_copy(update=limits))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -10,15 +11,14 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.presence import probability_in_box
+from bayesnet_track.adapt.presence import SHIFT
 from bayesnet_track.adapt.rule_columns import RuleColumns
 from bayesnet_track.adapt.rule_inputs import GroupMeasures, RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, inside_frame, inside_frame_all
 from bayesnet_track.engine.groups import FilteredGroup, LiveGroup
 from bayesnet_track.engine.scoring.outcome import ScoreOutcome, score_target
-from bayesnet_track.engine.state import inside_frame, inside_frame_all
 from bayesnet_track.journal.net import Decision
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats, Ints
@@ -138,7 +138,7 @@ def _existence(filtered: FilteredGroup[Any]) -> Floats | None:
     existence = filtered.existence
     if existence is None or filtered.compiled.plate.lost.existence_in_box_below is None:
         return existence
-    return existence * probability_in_box(*filtered.moments)
+    return existence * _probability_in_box(*filtered.moments)
 
 
 def _see(
@@ -167,3 +167,17 @@ def _see(
         None if target is None else target.call,
         stride,
     )
+
+
+def _probability_in_box(mean: Floats, covariance: Floats) -> Floats:
+    """(T,) probabilities that targets are shifted from their box by at most a third of a side in x and in y.
+
+    Means (T, D) of x, y, w, h, ... and covariances (T, D, D).
+
+    >>> mean, covariance = np.array([[50.0, 40, 30, 60]]), np.diag([10.0, 1e-6, 1, 1])[None] ** 2
+    >>> float(_probability_in_box(mean, covariance)[0].round(4))  # within one sd
+    0.6827
+    """
+    sd = np.sqrt(np.maximum(covariance[:, (0, 1), (0, 1)], 1e-12))
+    reach = (SHIFT * mean[:, 2:4] / sd / math.sqrt(2.0)).ravel().tolist()
+    return np.asarray(np.array([math.erf(value) for value in reach]).reshape(-1, 2).prod(axis=1))

@@ -6,20 +6,20 @@ late is done for one target at a time, and only where it is asked for.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import baseline_level
+from bayesnet_track.adapt.rule_inputs import baseline_level, largest_rate, learning_rate
 from bayesnet_track.adapt.status import quarantine
 from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.engine.filtering import Filtered
-from bayesnet_track.engine.frame_context import FrameContext, planes_of_each
+from bayesnet_track.engine.frame_context import FrameContext, inside_frame, planes_of_each
 from bayesnet_track.engine.judging import JudgedGroup
 from bayesnet_track.engine.starting import start_late, unmet
-from bayesnet_track.engine.state import inside_frame
 from bayesnet_track.graph.spec import Learn
 from bayesnet_track.inference.asking import Fault, Missing, fault_of, follow, is_elsewhere
 from bayesnet_track.inference.learn import (
@@ -28,21 +28,16 @@ from bayesnet_track.inference.learn import (
     SlowReferences,
     adapt_reference,
     blend_ahead,
-    frames_between,
     guard,
     judge,
     judge_nothing,
-    largest_rate,
-    learning_rate,
-    over_frames,
     watch,
 )
-from bayesnet_track.inference.parts import part_rates
 from bayesnet_track.journal.events.switches import LocallyAdapted
 from bayesnet_track.journal.net import Decision
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
-from bayesnet_track.observation.cue import ANGLE, FAULTS, AnyCue, Reference, context_of
+from bayesnet_track.observation.cue import ANGLE, FAULTS, AnyCue, Reference, context_of, over_frames
 from bayesnet_track.observation.likelihoods import ReferenceRows
 from bayesnet_track.observation.planes import Planes
 
@@ -187,11 +182,15 @@ def learning_rates(work: FrameContext, group: JudgedGroup) -> tuple[list[float],
 
 
 def _part_rates(group: JudgedGroup, row: int, rule: Learn, visible: float) -> dict[str, float]:
-    """Part -> share of the largest rate."""
+    """Part -> share of the largest rate: the root's rule at the UD of the part, 0 unless it is seen."""
     plate, net = group.filtered.compiled.plate, group.nets[row]
     baseline_of = partial(baseline_level, plate, net.active, group.memory.take([row]))
-    shares = part_rates(rule, group.measures.of(row).parts, baseline_of)
-    return {part: share * visible for part, share in shares.items()}
+    return {
+        name: visible * learning_rate(rule, part.ud_px2, part.area_px2, baseline_of(name))
+        if part.status == "seen"
+        else 0.0
+        for name, part in group.measures.of(row).parts.items()
+    }
 
 
 def _is_held(group: JudgedGroup, row: int, rule: Learn) -> bool:
@@ -207,7 +206,7 @@ def _rhythm(
 ) -> tuple[int, bool]:
     """In one of how many frames a target's agents learn, and whether they rest in this one."""
     live = work.net.targets[group.filtered.ids[row]]
-    interval = frames_between(rule, live.sampled)
+    interval = _frames_between(rule, live.sampled)
     if beside is None or beside.call is None or live.turn is None:
         return interval, work.frame.ordinal % interval > 0
     return live.turn.since(work.frame.index, work.frame.stride), not beside.call.ran
@@ -379,3 +378,16 @@ def _learn_beside(
     return Beside(
         {**references, **first}, evolve(watched, slow=slow), judged, (*standing, *quarantined, *still_out)
     )
+
+
+def _frames_between(rule: Learn | None, sampled: Mapping[str, int]) -> int:
+    """Learning takes place in one of so many tracked frames.
+
+    `sampled`: agent that is evaluated now and then -> in one of so many tracked frames. Between samples
+    the others are less sure alone, and what is learnt then would be their errors.
+
+    >>> from bayesnet_track.graph.spec import Learn, Level
+    >>> _frames_between(Learn(below=Level(ud_px2=100.0), every=2), {"filter": 3})
+    6
+    """
+    return math.lcm(1 if rule is None else rule.every, min(sampled.values(), default=1))

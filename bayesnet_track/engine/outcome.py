@@ -1,4 +1,4 @@
-"""State of the engine between frames, and the outcome of one frame."""
+"""State of the engine between frames, the outcome of one frame, and the work that a late run sheds."""
 
 from __future__ import annotations
 
@@ -10,20 +10,22 @@ import numpy as np
 from bayesnet_track.adapt.identities import PlateIdentities
 from bayesnet_track.adapt.joins import JoinMemory, decide_joins
 from bayesnet_track.adapt.lifecycle import TrackHistory
-from bayesnet_track.adapt.shedding import Load, balance
+from bayesnet_track.adapt.shedding import Load, Running, balance
+from bayesnet_track.belief.particles.belief import ParticleFilter
+from bayesnet_track.engine.compiled import Engine
 from bayesnet_track.engine.finishing import Results
 from bayesnet_track.engine.frame_context import ExternalInputs, FrameContext
 from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.joining import JointBelief, reaches_of
 from bayesnet_track.engine.lines import Lines
-from bayesnet_track.engine.shedding import balance_load
-from bayesnet_track.engine.state import TargetState, recompile
+from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.engine.targets import Records, Targets
+from bayesnet_track.graph.spec import Particles
 from bayesnet_track.inference.queries import QueryMemory
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.load import LateFrame, SpareTime
 from bayesnet_track.journal.metrics import Answers
-from bayesnet_track.journal.net import Net, apply_decisions
+from bayesnet_track.journal.net import Decision, Net, apply_decisions
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.planes import Frame
@@ -94,7 +96,7 @@ def carry_out(work: FrameContext, state: State, results: Results, joint: JointBe
     for target, (group, row) in results.singles.items():
         decisions = group.decisions(row)
         net = apply_decisions(net, decisions)
-        singles[target] = recompile(work.engine, net, target, group.state(row))
+        singles[target] = _recompile(work.engine, net, target, group.state(row))
         events += [*group.events(row), *decisions]
     gaussians = [
         rows for rows_result in results.gaussians if (rows := rows_result.table(net.targets)) is not None
@@ -163,10 +165,11 @@ def with_load(work: FrameContext, outcome: Outcome, timing: Iterable[LateFrame |
             return outcome
         _, load = balance(work.frame.index, (), {}, state.load)
         return evolve(outcome, state=evolve(state, load=load))
-    decisions, load = balance_load(engine, state.net, state.targets, timing, state.load, work.frame.index)
+    decisions, load = _balance_load(engine, state.net, state.targets, timing, state.load, work.frame.index)
     net = apply_decisions(state.net, decisions)
     targets = {
-        target: recompile(engine, net, target, target_state) for target, target_state in state.targets.items()
+        target: _recompile(engine, net, target, target_state)
+        for target, target_state in state.targets.items()
     }
     balanced = evolve(state, net=net, targets=targets, load=load)
     return evolve(outcome, state=balanced, events=(*outcome.events, *decisions))
@@ -178,3 +181,42 @@ def with_external_inputs(outcome: Outcome, inputs: ExternalInputs) -> Outcome:
     if not notices and not inputs.to_repeat:
         return outcome
     return evolve(outcome, events=(*notices, *outcome.events), external_inputs=inputs.to_repeat)
+
+
+def _recompile(engine: Engine, net: Net, target: str, state: TargetState) -> TargetState:
+    """The state with its plan compiled again when its active agents changed."""
+    live = net.targets[target]
+    return with_agents(engine.plates[live.template], state, live.active)
+
+
+LEAST_SHARE, LEAST = 8, 100
+"""A fixed number of hypotheses is cut to an eighth at most, and never below this."""
+
+
+def _balance_load(
+    engine: Engine,
+    net: Net,
+    targets: Mapping[str, TargetState],
+    timing: Iterable[LateFrame | SpareTime],
+    load: Load,
+    frame: int,
+) -> tuple[tuple[Decision, ...], Load]:
+    """Decisions to shed or take back in this frame, and the memory after it."""
+    running = {target: _running(engine, net, target, state) for target, state in targets.items()}
+    return balance(frame, timing, running, load)
+
+
+def _running(engine: Engine, net: Net, target: str, state: TargetState) -> Running:
+    live = net.targets[target]
+    compiled = engine.plates[live.template]
+    parts = (compiled.plate, live, state.memory, compiled.costs_ms)
+    if not isinstance(compiled.belief, ParticleFilter):
+        return Running(*parts)
+    low, high = _bounds(compiled.belief.settings)
+    return Running(*parts, len(state.belief), low, high)
+
+
+def _bounds(settings: Particles) -> tuple[int, int]:
+    if isinstance(settings.size, int):
+        return max(settings.size // LEAST_SHARE, min(LEAST, settings.size)), settings.size
+    return settings.least, settings.most

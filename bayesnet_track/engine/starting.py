@@ -17,13 +17,13 @@ from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.start_prior import make_start_prior
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.frame_context import FrameContext
+from bayesnet_track.engine.frame_context import FrameContext, inside_frame
 from bayesnet_track.engine.metrics import state_numbers
 from bayesnet_track.engine.modes import ModeState, combination_probabilities, with_kinds, with_modes
-from bayesnet_track.engine.moving.predicting import start_motion_context
+from bayesnet_track.engine.predicting import start_motion_context
 from bayesnet_track.engine.scoring.rivals import first_references, without_motion
 from bayesnet_track.engine.scoring.score import ScoreState
-from bayesnet_track.engine.state import TargetState, inside_frame, plan_for
+from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.graph.checked import LastingError
 from bayesnet_track.inference.learn import LearningInputs, learn_first, watch
 from bayesnet_track.inference.parts import nominal_boxes

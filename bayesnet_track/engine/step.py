@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from bayesnet_track.adapt.memory import STATUS_STREAKS
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.cameras import adopt_clocks, first_clocks, learn_clocks
@@ -36,11 +37,13 @@ from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.rows.finding import arrange
 from bayesnet_track.engine.rows.fitting import row_rule
 from bayesnet_track.engine.rows.particle_rows import filter_rows
-from bayesnet_track.engine.scoring.scene_cuts import cut_level, find_cuts
+from bayesnet_track.engine.scoring.rivals import without_motion
+from bayesnet_track.engine.scoring.score import LEAST_FRAMES
 from bayesnet_track.engine.starting import start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.spec import Lost
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.statuses import SceneCut
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -51,6 +54,7 @@ from bayesnet_track.numerics.streams import birth_key
 from bayesnet_track.observation.cue import CueDeclaration
 from bayesnet_track.observation.detector import Detector
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
+from bayesnet_track.vision.planes import Scene, compare_scenes, describe_scene
 
 __all__ = [
     "Batch",
@@ -153,8 +157,8 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
     if first_clocks(engine) is not None:
         stages.append(Stage("clocks", set_clocks, (learn_clocks,)))
     stages.append(Stage("measure, decide, learn", finish, (finish_targets, carry_out)))
-    if any(cut_level(compiled) is not None for compiled in plates):
-        stages.insert(0, Stage("scene cuts", cut_scenes, (find_cuts,)))
+    if any(_cut_level(compiled) is not None for compiled in plates):
+        stages.insert(0, Stage("scene cuts", cut_scenes, (_find_cuts,)))
     if any(compiled.lifecycle is not None for compiled in plates):
         stages.append(Stage("tracks", start_and_end, (manage_tracks,)))
     if any(compiled.plate.spec.identity is not None for compiled in plates):
@@ -179,7 +183,7 @@ def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Ite
 
 def cut_scenes(batch: Batch) -> Batch:
     """Targets that a scene cut may have moved are lost from the frame on."""
-    state, cuts = find_cuts(batch.work.engine, batch.state, batch.work.frame)
+    state, cuts = _find_cuts(batch.work.engine, batch.state, batch.work.frame)
     work = evolve(batch.work, net=state.net)
     return evolve(batch, work=work, state=state, targets=Targets.of(state.targets), cuts=cuts)
 
@@ -328,3 +332,63 @@ def finish_first(work: FrameContext, first: Outcome) -> Outcome:
     """The outcome as of `first_look`, with who gives no answer in the frame."""
     outcome = with_joins(work, manage_tracks(work, first))
     return answer_queries(work, outcome) if work.engine.queries else outcome
+
+
+def _find_cuts(engine: Engine, state: State, frame: Frame) -> tuple[State, tuple[SceneCut, ...]]:
+    """The state that `frame` begins with, and whose scene was cut before it.
+
+    A frame that shows no scene, such as a black one, is skipped: the next is compared with the one before it.
+    """
+    last_scene, scene = _last_scene(state), describe_scene(frame.image)
+    if last_scene is None or scene is None:
+        return replace(state, scene=scene or last_scene), ()
+    state = replace(state, scene=scene)
+    change = compare_scenes(last_scene, scene)
+    cuts: dict[str, SceneCut] = {}
+    for target in state.targets:
+        level = _cut_level(engine.plates[state.net.targets[target].template])
+        if level is not None and change.distance > level:
+            cuts[target] = SceneCut(
+                frame.index, target, change.distance, level, change.colors, change.structure
+            )
+    if not cuts:
+        return state, ()
+    targets = {
+        name: _without_place(engine, state, name, frame.index) if name in cuts else target_state
+        for name, target_state in state.targets.items()
+    }
+    decisions = tuple(cuts.values())
+    return replace(state, net=apply_decisions(state.net, decisions), targets=targets), decisions
+
+
+def _rule_of(compiled: CompiledPlate) -> Lost | None:
+    return compiled.plate.inference(compiled.plate.root).lost
+
+
+def _cut_level(compiled: CompiledPlate) -> float | None:
+    """Distance of two scenes from which a cut lies between them; None where a plate asks for no cuts."""
+    rule = _rule_of(compiled)
+    return None if rule is None else rule.scene_cut
+
+
+def _last_scene(state: State) -> Scene | None:
+    """The last scene that was seen; that of the last frame where none was looked at before."""
+    if state.scene is not None or state.previous is None:
+        return state.scene
+    return describe_scene(state.previous.image)
+
+
+def _without_place(engine: Engine, state: State, target: str, frame: int) -> TargetState:
+    """State of a target that may now be anywhere: it has to be recognised, best where it was last."""
+    target_state = state.targets[target]
+    rule = _rule_of(engine.plates[state.net.targets[target].template])
+    scored, context = target_state.scored, target_state.motion_context
+    if rule is not None and rule.found_fit is not None and scored.missing is None:
+        is_known = len(scored.fits) >= LEAST_FRAMES
+        scored = replace(scored, low=0, again=(), missing=frame if is_known else None)
+    return replace(
+        target_state,
+        memory=target_state.memory.without([kind for kind, _ in STATUS_STREAKS]),
+        motion_context=None if context is None else replace(context, held=None),
+        scored=without_motion(scored),
+    )

@@ -8,14 +8,12 @@ pulled back.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from bayesnet_track.adapt.rule_inputs import scale_of
-from bayesnet_track.graph.spec import Guard, Learn
+from bayesnet_track.graph.spec import Guard
 from bayesnet_track.inference.asking import (
     AgentUnavailable,
     Availability,
@@ -241,61 +239,6 @@ class LearningInputs:
     def availability_for(self, during: str) -> TargetAvailability:
         """Agents that give no answer when asked for one thing."""
         return self.availability.of_target(self.target, during)
-
-
-def learning_rate(rule: Learn | None, ud_px2: float, area_px2: float, quiet_px2: float | None) -> float:
-    """Share of the largest rate at this UD: (1 - tanh(2 (UD - theta) / theta)) / 2, 0 from theta upward.
-
-    Thesis eq. 2.16. As printed it applies to every target whose UD is below theta and replaces more than half
-    of the reference there, so learning multiplies it by a largest rate (corrected).
-
-    >>> from bayesnet_track.graph.spec import Learn, Level
-    >>> rule = Learn(below=Level(ud_px2=100.0))
-    >>> round(learning_rate(rule, 50.0, 1.0, None), 4), learning_rate(rule, 100.0, 1.0, None)
-    (0.8808, 0.0)
-    """
-    scale = None if rule is None else scale_of(rule.below, area_px2, quiet_px2)
-    if rule is None or scale is None:
-        return 0.0
-    value, level = ud_px2 / scale, rule.below.settings
-    return 0.0 if value >= level else 0.5 * (1.0 - math.tanh(2.0 * (value - level) / level))
-
-
-def over_frames(rate: float, frames: int) -> float:
-    """The rate that makes in one frame what `rate` makes in several: 1 - (1 - rate)^frames.
-
-    >>> over_frames(0.5, 1), over_frames(0.5, 2)
-    (0.5, 0.75)
-    """
-    return rate if frames == 1 else 1.0 - (1.0 - rate) ** frames
-
-
-def largest_rate(rule: Learn | None, rate: float, frames: int) -> float:
-    """The largest rate of an agent whose own is `rate`, so many frames after its target started.
-
-    The reference of the first frame is one sample. At a rate of 1 / n in the n-th frame it becomes the mean
-    of n samples; a small constant rate would keep most of the first one for long.
-
-    >>> from bayesnet_track.graph.spec import Learn, Level
-    >>> rule = Learn(below=Level(ud_px2=100.0), early_rate=1.0)
-    >>> largest_rate(rule, 0.02, 1), largest_rate(rule, 0.02, 99), largest_rate(rule, 0.0, 1)
-    (0.5, 0.02, 0.0)
-    """
-    early = 0.0 if rule is None else rule.early_rate
-    return max(rate, early / (frames + 1)) if rate > 0.0 else 0.0
-
-
-def frames_between(rule: Learn | None, sampled: Mapping[str, int]) -> int:
-    """Learning takes place in one of so many tracked frames.
-
-    `sampled`: agent that is evaluated now and then -> in one of so many tracked frames. Between samples
-    the others are less sure alone, and what is learnt then would be their errors.
-
-    >>> from bayesnet_track.graph.spec import Learn, Level
-    >>> frames_between(Learn(below=Level(ud_px2=100.0), every=2), {"filter": 3})
-    6
-    """
-    return math.lcm(1 if rule is None else rule.every, min(sampled.values(), default=1))
 
 
 def learn_first(lesson: LearningInputs, agents: Iterable[str]) -> tuple[dict[str, Reference], dict[str, str]]:

@@ -17,18 +17,16 @@ there, and a part's draws have the root's posterior weights as they are; its own
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from bayesnet_track.adapt.rule_inputs import PartMeasure
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
-from bayesnet_track.graph.spec import Given, Learn
+from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.compile import Fusion, Plan
 from bayesnet_track.inference.factors import usual_boxes
-from bayesnet_track.inference.learn import learning_rate
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 
@@ -158,18 +156,3 @@ def _weigh(posterior: LogWeights, log_ratios: Floats | float) -> LogWeights:
         return posterior.times(log_ratios)[0]
     except DegenerateWeights:
         return posterior
-
-
-def part_rates(
-    rule: Learn | None, parts: Mapping[str, PartMeasure], quiet_of: Callable[[str], float | None]
-) -> dict[str, float]:
-    """Part -> share of the largest learning rate: the root's rule at the part's own UD, 0 unless it is seen.
-
-    `quiet_of` gives the measured baseline of a node's UD, px^2.
-    """
-    return {
-        name: learning_rate(rule, part.ud_px2, part.area_px2, quiet_of(name))
-        if part.status == "seen"
-        else 0.0
-        for name, part in parts.items()
-    }

@@ -398,3 +398,12 @@ def _differences(declaration: CueDeclaration, cue: AnyCue) -> Iterator[str]:
 def _has(cue: AnyCue, name: str) -> bool:
     """True if the cue has the attribute; a property is not asked for its value."""
     return getattr_static(cue, name, None) is not None
+
+
+def over_frames(rate: float, frames: int) -> float:
+    """The rate that makes in one frame what `rate` makes in several: 1 - (1 - rate)^frames.
+
+    >>> over_frames(0.5, 1), over_frames(0.5, 2)
+    (0.5, 0.75)
+    """
+    return rate if frames == 1 else 1.0 - (1.0 - rate) ** frames

@@ -14,9 +14,9 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bayesnet_track.engine.forecasting import Forecast
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.outcome import Outcome
+from bayesnet_track.engine.queries import Forecast
 from bayesnet_track.engine.starts import Start, StartError
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal.events.beliefs import Reappeared

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.engine.forecasting import check_forecasts
+from bayesnet_track.engine.queries import check_forecasts
 from bayesnet_track.engine.starts import Start, StartError, check_depth, check_given
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.modes import mode_probabilities
-from bayesnet_track.engine.forecasting import Forecast, check_forecasts, forecast
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.modes import status_by_modes
+from bayesnet_track.engine.queries import Forecast, check_forecasts, forecast
 from bayesnet_track.engine.scoring.outcome import reported_status
 from bayesnet_track.engine.starts import Start, check_given, check_started, say_blank, start_targets
 from bayesnet_track.engine.step import Engine, make_engine, step

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import pytest
 
-from bayesnet_track.inference.learn import over_frames
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.events.load import Toggled
 from bayesnet_track.journal.events.switches import Activated, Deactivated
@@ -15,6 +14,7 @@ from bayesnet_track.journal.net import Net as LiveNets
 from bayesnet_track.journal.net import apply
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.journal.text.sentences import explain
+from bayesnet_track.observation.cue import over_frames
 
 ADAPT = {
     "activate": {"above": {"ud_px2": 60.0}},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bayesnet_track.adapt.status import is_due
+from bayesnet_track.engine.second_steps import is_due
 from bayesnet_track.journal.events.switches import Activated, Deactivated, Scheduled
 from bayesnet_track.journal.net import Net, apply, replay
 from bayesnet_track.journal.target_net import TargetNet, Turn

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Tracker
-from bayesnet_track.engine.moving.elsewhere import APART_BOX, CORNERS
+from bayesnet_track.engine.second_steps import APART_BOX, CORNERS
 from bayesnet_track.graphs import find_graph
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.journal.events.switches import Scheduled

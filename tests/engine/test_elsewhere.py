@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.moving.elsewhere import APART_BOX, pick_place
 from bayesnet_track.engine.scoring.score import log_odds
+from bayesnet_track.engine.second_steps import APART_BOX, pick_place
 from bayesnet_track.engine.step import make_engine
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.inference.asking import AgentUnavailable

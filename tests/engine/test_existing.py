@@ -10,9 +10,9 @@ from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import Candidate
 from bayesnet_track.engine import step as steps
 from bayesnet_track.engine.lifecycle.confirming import with_belief
-from bayesnet_track.engine.lifecycle.ends import memory_of
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.sensing import gate_boxes as gate
+from bayesnet_track.engine.lifecycle.track_management import memory_of
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule, confirmed, first_population
 from bayesnet_track.engine.rows import finding

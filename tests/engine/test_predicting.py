@@ -11,7 +11,7 @@ from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.composed import Nested, turning
 from bayesnet_track.belief.motion.jumps import Jumping
 from bayesnet_track.belief.motion.shifted import ShiftedMotion
-from bayesnet_track.engine.moving.predicting import MotionContext, predict_motion, start_motion_context
+from bayesnet_track.engine.predicting import MotionContext, predict_motion, start_motion_context
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.observation.detector import Detections

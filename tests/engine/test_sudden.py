@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.engine.moving.sudden import CELL_BOX
+from bayesnet_track.engine.second_steps import CELL_BOX
 from bayesnet_track.engine.step import step
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.observation.planes import Frame

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from bayesnet_track.adapt.rule_inputs import largest_rate, learning_rate
 from bayesnet_track.graph.spec import Learn, Level
-from bayesnet_track.inference.learn import largest_rate, learning_rate
 
 SHARES = {0.0: 0.982014, 0.25: 0.952574, 0.5: 0.880797, 0.75: 0.731059, 0.9: 0.598688}
 """UD as a share of theta -> (1 - tanh(2 (UD - theta) / theta)) / 2, from a table of tanh."""

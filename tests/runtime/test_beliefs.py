@@ -13,7 +13,7 @@ from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.engine.moving.predicting import MotionContext
+from bayesnet_track.engine.predicting import MotionContext
 from bayesnet_track.engine.step import TargetState
 from bayesnet_track.graph import spec
 from bayesnet_track.journal.encoder import JournalError

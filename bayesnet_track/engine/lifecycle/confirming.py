@@ -16,11 +16,10 @@ from bayesnet_track.belief.motion.modes import mode_probabilities, moments_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.initiating import initiate, velocities
-from bayesnet_track.engine.lifecycle.recognise import Match, match
-from bayesnet_track.engine.lifecycle.reidentifying import compare_remembered
+from bayesnet_track.engine.lifecycle.recognise import Match, compare_remembered, match
 from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
+from bayesnet_track.engine.lifecycle.unconfirmed import initiate, velocities
 from bayesnet_track.engine.metrics import state_numbers
 from bayesnet_track.engine.modes import with_kinds, with_label
 from bayesnet_track.engine.starting import drawn, restart, start

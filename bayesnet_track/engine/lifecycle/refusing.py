@@ -14,7 +14,7 @@ import numpy as np
 from bayesnet_track.adapt.association import UNASSIGNED, distances
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.engine.compiled import CompiledPlate
-from bayesnet_track.engine.lifecycle.initiating import velocities
+from bayesnet_track.engine.lifecycle.unconfirmed import velocities
 from bayesnet_track.engine.rows.columns import Rows
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import DetectionRefused, Refusal

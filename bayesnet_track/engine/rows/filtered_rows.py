@@ -21,7 +21,7 @@ from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.groups import AgentMessages, statuses_of
-from bayesnet_track.engine.moving.predicting import PredictedMotion
+from bayesnet_track.engine.predicting import PredictedMotion
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import ParticleTable
 from bayesnet_track.graph.spec import Estimate

@@ -22,11 +22,11 @@ from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.belief.particles.particle_set import Clouds
 from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
+from bayesnet_track.engine.filtering import within
 from bayesnet_track.engine.frame_context import FrameContext, ask_together
-from bayesnet_track.engine.moving.predicting import PredictedMotion, jump_share, predict_motion
-from bayesnet_track.engine.moving.sudden import is_sudden, sudden_rule
+from bayesnet_track.engine.predicting import PredictedMotion, jump_share, predict_motion
 from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
-from bayesnet_track.engine.shedding import within
+from bayesnet_track.engine.second_steps import is_sudden
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.engine.targets import ParticleTable, Targets
 from bayesnet_track.inference.asking import is_elsewhere
@@ -166,7 +166,7 @@ def _filter(work: FrameContext, table: ParticleTable, moves: Mapping[str, Predic
     work.charge("belief", start)
     is_usable = np.isfinite(log_evidence)
     is_usable[list(failed)] = False
-    if sudden_rule(compiled) is not None:
+    if compiled.moving is not None and compiled.moving.relocalize is not None:
         for row in np.flatnonzero(is_usable).tolist():
             fit = fit_of([messages[observation.agent][row] for observation in plan.observations])
             is_usable[row] = not is_sudden(work, table.ids[row], table.base[row], fit)

@@ -25,7 +25,6 @@ from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.settings.scores import Distractors
 from bayesnet_track.graph.spec import Verifier
 from bayesnet_track.inference.asking import Fault, check_reference, follow, score
-from bayesnet_track.inference.learn import over_frames
 from bayesnet_track.journal.events.faults import VerifierFailed
 from bayesnet_track.journal.events.statuses import DistractorSeen, DoubtEnded
 from bayesnet_track.numerics.arrays import Floats
@@ -38,6 +37,7 @@ from bayesnet_track.observation.cue import (
     Reference,
     context_of,
     make_cue,
+    over_frames,
     said,
 )
 from bayesnet_track.observation.planes import PlaneCache, Planes, region_of_boxes

@@ -33,7 +33,7 @@ from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory
-from bayesnet_track.engine.moving.predicting import MotionContext
+from bayesnet_track.engine.predicting import MotionContext
 from bayesnet_track.engine.scoring.score import Agreement, Encounter, Place, ScoreState
 from bayesnet_track.engine.step import Engine, State, TargetState
 from bayesnet_track.inference.compile import Plan, compile_plan

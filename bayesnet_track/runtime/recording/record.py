@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 
 from bayesnet_track.engine.compiled import Engine
-from bayesnet_track.engine.forecasting import forecast
+from bayesnet_track.engine.queries import forecast
 from bayesnet_track.engine.starts import has_births
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.journal import disk
