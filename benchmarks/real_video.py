@@ -34,7 +34,7 @@ class Frames:
     """Overlap, score, status and CPU seconds of each frame but the first."""
 
     iou: list[float]
-    score_pass: list[float]
+    score: list[float]
     status: list[str]
     cpu_s: list[float]
 
