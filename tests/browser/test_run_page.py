@@ -313,12 +313,10 @@ def test_a_loss_says_why_as_long_as_it_lasts(browser, tmp_path, write_page, made
     metrics = [replace(line, status="lost" if line.frame > 9 else "tracking", ud_px2=4.0) for line in metrics]
     page = write_page(tmp_path / "lost.html", events, metrics)
     browser.open(page, hash="#frame=9")
-    assert text_of(browser, ".told.lost dt + dd").startswith("the best hypothesis has a likelihood of 0.012")
+    assert text_of(browser, ".told.lost dt + dd").startswith("the best hypothesis has a fit of 0.012")
     assert "would not have been lost at fit_below ≤ 0.031" in text_of(browser, ".told.lost")
     browser.open(page, hash="#frame=30")
-    assert text_of(browser, ".since").startswith(
-        "lost since frame 10: the best hypothesis has a likelihood of"
-    )
+    assert text_of(browser, ".since").startswith("lost since frame 10: the best hypothesis has a fit of")
     assert "would not have been lost at fit_below ≤ 0.031" in text_of(browser, ".since")
 
 

@@ -8,13 +8,11 @@ from dataclasses import asdict, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from bayesnet_track.cli.arguments import OK, UsageError, complain, say
-from bayesnet_track.evaluate.motion_evidence import CORRELATED, CameraCheck, MeanInnovation, NoiseRatio
 
 if TYPE_CHECKING:
     from bayesnet_track.cli.findings import Finding
+    from bayesnet_track.evaluate.motion_evidence import CameraCheck
     from bayesnet_track.journal.events.faults import Quarantined
     from bayesnet_track.numerics.arrays import Floats
     from bayesnet_track.runtime.recording.run_reader import Run
@@ -167,6 +165,8 @@ def names_of(text: str, plate: str, agent: str | None = None) -> Mapping[str, st
 
 def judge_cameras(run: Run) -> list[CameraCheck]:
     """The innovations of each camera that sees targets on the ground, in the order of the graph."""
+    import numpy as np
+
     from bayesnet_track.journal.frame_columns import CAMERA_NUMBERS
     from bayesnet_track.journal.frame_file import FrameFile
 
@@ -197,6 +197,10 @@ FEW_STEPS, FEW_DEGREES = 50, 30.0
 
 
 def _check_camera(run: Run, camera: str, numbers: Mapping[str, Floats], missed: float) -> CameraCheck:
+    import numpy as np
+
+    from bayesnet_track.evaluate.motion_evidence import CameraCheck, MeanInnovation, NoiseRatio
+
     information = np.stack([numbers[name] for name in ("xx", "xy", "xy", "yy")], axis=1).reshape(-1, 2, 2)
     bias = MeanInnovation.estimate(np.stack([numbers["x_px"], numbers["y_px"]], axis=1), information)
     (x_px, y_px), (x_sd, y_sd) = bias.px.tolist(), bias.sd.tolist()
@@ -216,6 +220,8 @@ def _settings_of(run: Run, check: CameraCheck) -> Iterator[str]:
     """
     ratios = {"place": check.place, "size": check.size}
     wrong = {part: ratio for part, ratio in ratios.items() if not ratio.is_right}
+    from bayesnet_track.evaluate.motion_evidence import CORRELATED
+
     if check.memory > CORRELATED:
         wrong = {part: ratio for part, ratio in wrong.items() if ratio.ratio > 1.0}
     for plate in _types(run.graph_text).values():

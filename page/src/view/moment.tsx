@@ -227,5 +227,5 @@ export function What({ text }: { text: string }) {
 }
 
 export function brief(event: EventRow): string {
-  return event.what.split(/ \(| → |, centre/)[0]!;
+  return event.what.split(/ \(| \u2192 |, centre/)[0]!;
 }
