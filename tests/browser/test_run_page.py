@@ -427,3 +427,4 @@ def test_a_target_is_chosen_in_the_image_of_any_camera(browser, demo):
         y,
     )
     browser.wait("return document.querySelector('.targets [aria-pressed=true]').innerText.includes('5')")
+    assert browser.complaints() == []

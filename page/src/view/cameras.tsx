@@ -8,7 +8,7 @@ import type { Picture } from "../pictures";
 import type { Layer, State } from "../state";
 import { bounds, paintGround, type Ground } from "./ground";
 import { Painter } from "./paint";
-import { CopyLink } from "./stage";
+import { CopyLink, Layers } from "./stage";
 
 const LAYERS: [Layer, string, string][] = [
   ["ellipses", "90 % ellipses", "where a target is with 90 %"],
@@ -31,13 +31,7 @@ export function Cameras({ state }: { state: State }) {
       </div>
       <fieldset class="layers">
         <legend>Show</legend>
-        {LAYERS.map(([layer, name, title]) => (
-          <label key={layer} title={title}>
-            <input type="checkbox" checked={state.layers.value.has(layer)} onChange={() => state.toggle(layer)} />
-            <i class={`key key-${layer}`} aria-hidden="true" />
-            {name}
-          </label>
-        ))}
+        <Layers state={state} of={LAYERS} />
         <span class="take">
           <CopyLink />
         </span>

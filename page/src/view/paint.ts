@@ -75,14 +75,7 @@ export class Painter {
     g.beginPath();
     for (const [x, y] of corners) g.lineTo(this.x(x), this.y(y));
     if (corners.length > 2) g.closePath();
-    for (const [style, width] of [
-      [HALO, 4],
-      [INK.shape, 2],
-    ] as const) {
-      g.strokeStyle = style;
-      g.lineWidth = width;
-      g.stroke();
-    }
+    this.strokeTwice(INK.shape);
     g.restore();
     g.font = "600 11px system-ui, sans-serif";
     this.label(name, [...corners[0]!, 0, 0], INK.shape);
@@ -97,6 +90,18 @@ export class Painter {
     this.label(track.id, box, "#e8edf3");
   }
 
+  /** Stroke the current path in an ink, on a halo that sets it off from any picture. */
+  private strokeTwice(ink: string): void {
+    for (const [style, width] of [
+      [HALO, 4],
+      [ink, 2],
+    ] as const) {
+      this.g.strokeStyle = style;
+      this.g.lineWidth = width;
+      this.g.stroke();
+    }
+  }
+
   /** A line between two targets that may be each other, with the probability. */
   doubt(from: number[], to: number[], probability: number): void {
     const { g } = this;
@@ -106,17 +111,12 @@ export class Painter {
     g.beginPath();
     g.moveTo(ax, ay);
     g.lineTo(bx, by);
-    for (const [style, width] of [
-      [HALO, 4],
-      [INK.uncertain, 2],
-    ] as const) {
-      g.strokeStyle = style;
-      g.lineWidth = width;
-      g.stroke();
-    }
+    this.strokeTwice(INK.uncertain);
     g.restore();
     g.font = "600 11px system-ui, sans-serif";
-    this.label(`swapped? ${probability.toFixed(2)}`, [(from[0]! + to[0]!) / 2, Math.max(from[1]! + from[3]! / 2, to[1]! + to[3]! / 2) + 26 / this.view.scale, 0, 0], INK.uncertain);
+    const lower = Math.max(from[1]! + from[3]! / 2, to[1]! + to[3]! / 2);
+    const place = [(from[0]! + to[0]!) / 2, lower + 26 / this.view.scale, 0, 0];
+    this.label(`swapped? ${probability.toFixed(2)}`, place, INK.uncertain);
   }
 
   /** A target in the image of one of several cameras; (4,) NaN where it is not in it. */

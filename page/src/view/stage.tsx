@@ -16,6 +16,21 @@ const LAYERS: [Layer, string, string][] = [
   ["others", "other targets", "the other targets' estimates"],
 ];
 
+/** A box to tick for each layer that can be drawn: its name, and what it shows. */
+export function Layers({ state, of }: { state: State; of: [Layer, string, string][] }) {
+  return (
+    <>
+      {of.map(([layer, name, title]) => (
+        <label key={layer} title={title}>
+          <input type="checkbox" checked={state.layers.value.has(layer)} onChange={() => state.toggle(layer)} />
+          <i class={`key key-${layer}`} aria-hidden="true" />
+          {name}
+        </label>
+      ))}
+    </>
+  );
+}
+
 export function Stage({ state }: { state: State }) {
   const canvas = useRef<HTMLCanvasElement>(null);
   const shown = useRef<{ picture: Picture | null; view: View } | null>(null);
@@ -79,13 +94,7 @@ export function Stage({ state }: { state: State }) {
       </div>
       <fieldset class="layers">
         <legend>Show</legend>
-        {LAYERS.filter(([layer]) => has[layer]).map(([layer, name, title]) => (
-          <label key={layer} title={title}>
-            <input type="checkbox" checked={state.layers.value.has(layer)} onChange={() => state.toggle(layer)} />
-            <i class={`key key-${layer}`} aria-hidden="true" />
-            {name}
-          </label>
-        ))}
+        <Layers state={state} of={LAYERS.filter(([layer]) => has[layer])} />
         <label title="key z">
           <input type="checkbox" checked={state.close.value} onChange={() => (state.close.value = !state.close.value)} />
           close up
