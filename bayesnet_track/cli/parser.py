@@ -138,6 +138,9 @@ class Parser(argparse.ArgumentParser):
     def describe_option(self, word: str) -> str:
         """The message that there is no such option."""
         option = word.partition("=")[0]
+        names = OTHER_OPTIONS.get(option, "")
+        if names and all(name in self._option_string_actions for name in names.split(" and ")):
+            return f"no option {option}; did you mean {names}?"
         return f"no option {option}{suggest_nearest(option, self._option_string_actions)}"
 
 
@@ -164,6 +167,25 @@ OTHER_WORDS = {
     "check": "validate or doctor",
 }
 """Words that other programs use for commands -> the command here."""
+
+OTHER_OPTIONS = {
+    "--frames": "--start and --end",
+    "--max-frames": "--start and --end",
+    "--first": "--start",
+    "--last": "--end",
+    "--skip": "--stride",
+    "--input": "--source",
+    "--output": "--out",
+    "--save-video": "--video",
+    "--show": "--view",
+    "--box": "--init",
+    "--bbox": "--init",
+    "--roi": "--init",
+    "--gt": "--truth",
+    "--dets": "--detections",
+    "--config": "--set",
+}
+"""Options that other programs have -> those here, if the command has them."""
 
 
 def suggest(message: str) -> str:

@@ -378,9 +378,12 @@ def _first_line(standing: Standing) -> FrameMetrics | None:
 
 def _picture(image: NDArray[np.uint8], levels: Levels) -> tuple[NDArray[np.uint8], bool]:
     if not isinstance(image, np.ndarray):
-        raise ValueError(
-            f"a frame is an array of pixels, not {type(image).__name__}; could the image be read?"
-        )
+        advice = "could the image be read?"
+        if hasattr(image, "get"):
+            advice = "frame.get() is one"
+        elif hasattr(image, "__array__") or hasattr(image, "__array_interface__"):
+            advice = "numpy.asarray(frame) is one; channels in the order blue, green, red"
+        raise ValueError(f"a frame is an array of pixels, not {type(image).__name__}; {advice}")
     return levels(image)
 
 

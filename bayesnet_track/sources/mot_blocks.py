@@ -21,8 +21,10 @@ NAMES = {
     "frame": ("frame", "frame_id", "frame_number", "frame_no", "frameid"),
     "index": ("frame_index", "frame_idx"),
     "id": ("id", "track_id", "tracker_id", "object_id", "obj_id", "target_id", "trackid", "target", "track"),
-    "left": ("bb_left", "bbox_left", "left", "xmin", "x_min", "x1", "x"),
-    "top": ("bb_top", "bbox_top", "top", "ymin", "y_min", "y1", "y"),
+    "left": ("bb_left", "bbox_left", "left", "xmin", "x_min", "x1", "x", "l"),
+    "top": ("bb_top", "bbox_top", "top", "ymin", "y_min", "y1", "y", "t"),
+    "center_x": ("x_center", "center_x", "xcenter", "cx", "xc", "x_c"),
+    "center_y": ("y_center", "center_y", "ycenter", "cy", "yc", "y_c"),
     "width": ("bb_width", "bbox_width", "width", "w"),
     "height": ("bb_height", "bbox_height", "height", "h"),
     "right": ("bb_right", "bbox_right", "right", "xmax", "x_max", "x2"),
@@ -86,13 +88,19 @@ class MotColumns:
     def box(self) -> tuple[int, int, int, int]:
         """The four numbers of the box."""
         c = self.columns
+        first = ("center_x", "center_y") if self.has_centers else ("left", "top")
         sides = ("right", "bottom") if self.has_corners else ("width", "height")
-        return c["left"], c["top"], c[sides[0]], c[sides[1]]
+        return c[first[0]], c[first[1]], c[sides[0]], c[sides[1]]
 
     @property
     def has_corners(self) -> bool:
         """True if right and bottom are given."""
         return {"right", "bottom"} <= self.columns.keys()
+
+    @property
+    def has_centers(self) -> bool:
+        """True if the place is that of the centre, and left and top are not given."""
+        return not {"left", "top"} & self.columns.keys()
 
     @property
     def sizes(self) -> tuple[int, int] | None:
@@ -129,11 +137,9 @@ def layout_of(header: Line, name: str) -> MotColumns:
         column = next((names.index(column_name) for column_name in aliases if column_name in names), None)
         if column is not None:
             columns[quantity] = column
-    missing = [
-        " or ".join(pair)
-        for pair in (("left",), ("top",), ("width", "right"), ("height", "bottom"))
-        if not columns.keys() & set(pair)
-    ]
+    is_centered = {"center_x", "center_y", "width", "height"} <= columns.keys() and "left" not in columns
+    needed = (("left",), ("top",), ("width", "right"), ("height", "bottom"))
+    missing = [" or ".join(pair) for pair in needed if not is_centered and not columns.keys() & set(pair)]
     if not missing and not ({"width", "height"} <= columns.keys() or {"right", "bottom"} <= columns.keys()):
         missing = ["width and height"]
     if missing:

@@ -258,6 +258,8 @@ def read_layout(lines: TextLines, layout: MotColumns) -> UncheckedRows:
         rows[:, 2:6] = corner_boxes(rows[:, 2:6], np.array(sizes), numbers, lines.name)
     elif layout.has_corners:
         rows[:, 4:6] -= rows[:, 2:4]
+    elif layout.has_centers:
+        rows[:, 2:4] -= rows[:, 4:6] / 2
     classes = np.array([_class_name(word) for word in class_words], dtype=np.str_)
     if layout is KITTI:
         rows[classes == NOT_COUNTED, 6] = 0.0

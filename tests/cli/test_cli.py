@@ -764,6 +764,7 @@ def test_a_mistake_has_its_exit_code_and_one_clear_message(cli, places, tmp_path
             "run general --source x -o y --vidoe",
             "track run: no option --vidoe; did you mean --video?",
         ),
+        ("run general --source x --max-frames 9", "no option --max-frames; did you mean --start and --end?"),
         (
             "run general --sorce x -o y",
             "no option --sorce; did you mean --source?",

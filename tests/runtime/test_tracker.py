@@ -283,6 +283,8 @@ def test_before_init():
     [
         (None, "a frame is an array of pixels, not NoneType; could the image be read?"),
         ([[1, 2], [3, 4]], "a frame is an array of pixels, not list; could the image be read?"),
+        (cv2.UMat(np.zeros((240, 320, 3), np.uint8)), r"not UMat; frame.get\(\) is one"),
+        (memoryview(b"1234"), "not memoryview; could the image be read?"),
         (
             np.zeros((240, 320, 3)),
             r"float64 values of shape \(240, 320, 3\); allowed: 8 or 16 bit, 1, 3 or 4",

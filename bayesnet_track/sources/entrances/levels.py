@@ -43,7 +43,7 @@ def explain_pixels(image: NDArray[Any], has_frame_shape: bool) -> str:
     if image.dtype.kind not in "fiu":
         return "; frame.astype(numpy.uint8) makes 8 bits of numbers from 0 to 255"
     low, high = middle_of(image)
-    is_small = image.dtype.kind in "iu" and image.min() >= 0 and image.max() <= 255
+    is_small = image.min() >= 0 and (1 if image.dtype.kind == "f" else 0) <= image.max() <= 255
     alternative = ", or, where 0 to 255 are black to white, frame.astype(numpy.uint8)" if is_small else ""
     if image.dtype.kind == "f" and low >= 0 and high <= 1:
         low, high = 0.0, 1.0

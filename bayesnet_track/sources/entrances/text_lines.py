@@ -42,7 +42,14 @@ def _explain_json_text(text: str) -> str | None:
             continue
         if isinstance(content, Mapping) and {"frame", "detections"} & content.keys():
             return f"{JSON_LINES}; {setting('--detections', 'FILE')} reads it"
-        return explain_json(content)
+        description = explain_json(content)
+        if (
+            description is None
+            and isinstance(content, list)
+            and isinstance(next(iter(content), 0), (list, dict))
+        ):
+            return f"a JSON list; write its boxes as {ROWS}, or as an object a line with frame and detections"
+        return description
     return None
 
 
@@ -96,6 +103,16 @@ def _explain_lines(lines: list[str]) -> str | None:
         return (
             "results of a VOT toolkit (lines 0 to 3 say where a tracker was started and failed), which are "
             "not ground truth; the sequence's groundtruth.txt is. For detections write " + ROWS
+        )
+    if lines and lines[0].startswith("scorer,") and any(line.startswith("bodyparts,") for line in lines[:4]):
+        return (
+            "a CSV of DeepLabCut (points of bodies, with likelihoods); write the column of each point as a "
+            f"sensor, or the box around the points of each animal as {ROWS}"
+        )
+    if lines and {"TRACK_ID", "POSITION_X", "FRAME"} <= set(lines[0].split(",")):
+        return (
+            "spots of TrackMate (POSITION_X and POSITION_Y are centres, frames count from 0, three lines of "
+            "names and units below the header); write them as frame_index,x_center,y_center,width,height"
         )
     spaced = [" ".join(line.split()) for line in lines]
     if spaced and all(_YOLO.match(line) for line in spaced) and not _count(spaced):

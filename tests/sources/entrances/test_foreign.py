@@ -172,3 +172,35 @@ def test_a_confidence_of_minus_1_beside_others_does_not_rescale_them():
     with pytest.warns(InputNotice, match="1 of 3 confidences are -1, which says none"):
         found = parse_detections("1,-1,0,0,4,4,.9\n1,-1,9,0,4,4,.8\n1,-1,20,0,4,4,-1\n")
     assert found[0].scores.tolist() == [1, 0.9, 0.8]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "scorer,DLC,DLC,DLC\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,20.5,30.5,0.99\n",
+            "a CSV of DeepLabCut (points of bodies",
+        ),
+        (
+            "LABEL,ID,TRACK_ID,POSITION_X,POSITION_Y,FRAME\nLabel,Spot ID,Track ID,X,Y,Frame\n",
+            "spots of TrackMate (POSITION_X and POSITION_Y are centres, frames count from 0",
+        ),
+        (
+            json.dumps([[{"name": "car", "box": {"x1": 1, "y1": 2, "x2": 3, "y2": 4}}], []]),
+            "a JSON list; write its boxes as MOT lines",
+        ),
+    ],
+)
+def test_a_file_of_another_tool_is_named(run, text, message):
+    code, printed = run(text)
+    assert code == 2 and f"it is {message}" in printed
+
+
+def test_centres_are_read_where_the_header_names_them():
+    text = "frame,x_center,y_center,width,height,conf\n1,35,80,30,40,0.5\n"
+    (found,) = parse_detections(text).values()
+    assert found.boxes.tolist() == [[34.5, 79.5, 30, 40]]
+    with pytest.raises(ValueError, match="no column is called left, top"):
+        parse_detections(text.replace("width,", "breadth,"))
+    short = "frame,l,t,w,h,conf\n1,20,60,30,40,0.5\n"
+    assert next(iter(parse_detections(short).values())).boxes.tolist() == [[34.5, 79.5, 30, 40]]

@@ -136,3 +136,10 @@ def test_a_start_box_of_other_than_four_numbers_is_refused(box):
 
 def test_numbers_beyond_8_bits_are_not_taken_for_them():
     assert explain_pixels(scene(np.int64) + 300, True).startswith("; values of another type need a range: ")
+
+
+def test_floats_up_to_255_may_be_of_8_bits():
+    image = np.linspace(17.0, 240.0, 48 * 64 * 3).reshape(48, 64, 3)
+    advice = "value_range=(17, 240), or, where 0 to 255 are black to white, frame.astype(numpy.uint8)"
+    assert explain_pixels(image, True).endswith(advice)
+    assert explain_pixels(image / 255, True).endswith("value_range=(0, 1)")
