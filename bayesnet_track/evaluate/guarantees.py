@@ -78,23 +78,28 @@ def allowed_risk(videos: int, share: float, worst: float = 1.0) -> float:
     return (share * (videos + 1) - worst) / videos
 
 
-def control_risk(videos: Sequence[Sequence[CalibrationRun]], share: float) -> Controlled:
+def control_risk(
+    videos: Sequence[Sequence[CalibrationRun]], share: float, overlap: float = ON_TARGET
+) -> Controlled:
     """The lowest level at which the expected share of a new video is at most `share`.
 
     The loss of a video is the share of its frames with a mean score above the level and an IoU of at most
-    0.5, averaged over its runs. It falls as the level rises, as conformal risk control needs (Angelopoulos et
-    al., Conformal Risk Control, 2024).
+    `overlap`, averaged over its runs. It falls as the level rises, as conformal risk control needs
+    (Angelopoulos et al., Conformal Risk Control, 2024).
 
     Raises:
         ValueError: there are too few videos for `share`.
     """
     _check_count(len(videos), fewest_videos(share), f"a guarantee of {share:g}")
     risk_limit = allowed_risk(len(videos), share)
-    level = _lowest_level(videos, risk_limit)
-    return Controlled(level, share_wrong(videos, level), risk_limit, share_called(videos, level), len(videos))
+    level = lowest_level(videos, risk_limit, overlap)
+    risk, called = share_wrong(videos, level, overlap), share_called(videos, level)
+    return Controlled(level, risk, risk_limit, called, len(videos))
 
 
-def control_afterwards(videos: Sequence[Sequence[CalibrationRun]], share: float) -> tuple[float, ...]:
+def control_afterwards(
+    videos: Sequence[Sequence[CalibrationRun]], share: float, overlap: float = ON_TARGET
+) -> tuple[float, ...]:
     """Levels of a run that is over, the k-th for one with at most a share k / 20 of its frames above.
 
     Off target it can be in no larger share. That bound takes the place of the 1 for a new video of which
@@ -108,16 +113,19 @@ def control_afterwards(videos: Sequence[Sequence[CalibrationRun]], share: float)
     passes = [[[run] for run in level_pair] for level_pair in zip(*videos, strict=False)]
     risk_limits = [allowed_risk(len(videos), share, (k + 1) / PARTS) for k in range(PARTS)]
     return tuple(
-        max(_lowest_level(wrong_shares, risk_limit) for wrong_shares in passes) for risk_limit in risk_limits
+        max(lowest_level(wrong_shares, risk_limit, overlap) for wrong_shares in passes)
+        for risk_limit in risk_limits
     )
 
 
-def _lowest_level(videos: Sequence[Sequence[CalibrationRun]], risk_limit: float) -> float:
-    """The lowest level at which the mean loss is at most `risk_limit`."""
+def lowest_level(
+    videos: Sequence[Sequence[CalibrationRun]], risk_limit: float, overlap: float = ON_TARGET
+) -> float:
+    """The lowest level at which the mean loss is at most `risk_limit`; alone, it promises nothing."""
     levels, weights = [np.zeros(1)], [np.zeros(1)]
     for runs in videos:
         for run in runs:
-            wrong = run.means[run.iou <= ON_TARGET]
+            wrong = run.means[run.iou <= overlap]
             levels.append(wrong)
             weights.append(np.full(len(wrong), 1.0 / (len(run.means) * len(runs) * len(videos))))
     level, weight = np.concatenate(levels), np.concatenate(weights)
@@ -129,10 +137,12 @@ def _lowest_level(videos: Sequence[Sequence[CalibrationRun]], risk_limit: float)
     return _rounded_up(float(level[first]))
 
 
-def share_wrong(videos: Sequence[Sequence[CalibrationRun]], level: float) -> float:
-    """Mean over videos of the share of frames that are called tracking while IoU is at most 0.5."""
+def share_wrong(
+    videos: Sequence[Sequence[CalibrationRun]], level: float, overlap: float = ON_TARGET
+) -> float:
+    """Mean over videos of the share of frames that are called tracking while IoU is at most `overlap`."""
     return fmean(
-        fmean(float(((run.means > level) & (run.iou <= ON_TARGET)).mean()) for run in runs) for runs in videos
+        fmean(float(((run.means > level) & (run.iou <= overlap)).mean()) for run in runs) for runs in videos
     )
 
 

@@ -248,6 +248,9 @@ def test_promises_are_written_into_the_graph_and_said(data, capsys):
     assert "a statement about the mean, not about each video" in said
     assert "With 2 videos the calibrated share may be at most 10 %" in said
     assert "is void if one of these was used to choose or fit" in said
+    assert main([*arguments, *promises, "--overwrite", "--off-target", "0.1"]) == 0
+    assert "# fit: expected share called tracking with IoU <= 0.1 at most 40 %" in out.read_text()
+    assert "frames called tracking with IoU ≤ 0.1 is at most 40 %" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("name", "least"), [("guarantee", 19), ("alarm", 20)])
@@ -316,6 +319,10 @@ CASES = [
         ("--folder", "DATA", "--guarantee", "0.05"),
         "target has no `score`, which --guarantee and --alarm need; fit one to other videos first, with "
         "--what score",
+    ),
+    (
+        ("--folder", "DATA", "--off-target", "0.1"),
+        "--off-target says which frames are wrong for --guarantee; give that, too",
     ),
     (
         ("--folder", "DATA", "--guarantee", "0.05", "--what", "score"),

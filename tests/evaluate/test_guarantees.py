@@ -57,6 +57,18 @@ def test_levels_worked_out_by_hand():
     assert again.above == 0.45 and again.risk == pytest.approx(19 / 60)
 
 
+def test_frames_off_target_are_those_up_to_the_overlap():
+    """As the levels above, among frames at 0.3, which are wrong at an overlap of 0.5 and right at 0.1."""
+    one = run([*np.arange(1, 11) / 20, *np.full(10, 0.99)], [*np.zeros(10), *np.full(10, 0.3)])
+    two = run([*np.arange(1, 11) / 20 + 0.4, *np.full(10, 0.99)], [*np.zeros(10), *np.full(10, 0.3)])
+    videos = [[one], [two], [run(np.full(20, 0.7), np.ones(20))]]
+    strict, mild = control_risk(videos, 0.5), control_risk(videos, 0.5, overlap=0.1)
+    # Of sixty frames 20 may be wrong: the 20 at 0.99, or all of those that are elsewhere.
+    assert (strict.above, mild.above) == (0.9, 0.0) and mild.risk == pytest.approx(1 / 3)
+    assert share_wrong(videos, 0.45, overlap=0.1) == pytest.approx(10 / 60)
+    assert control_afterwards(videos, 0.5, overlap=0.1)[19] == mild.above
+
+
 def test_without_a_wrong_frame_everything_is_called_and_with_19_videos_nothing_wrong_is():
     good = [[run([0.2, 0.9], [0.8, 0.8])]] * 19
     assert control_risk(good, 0.05).above == 0.0

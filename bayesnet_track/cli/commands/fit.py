@@ -85,7 +85,7 @@ def write_promises(
 ) -> str:
     """The graph's text with `guarantee` and `alarm`, as they were asked for; says what is promised."""
     if options.guarantee is not None:
-        text = _write_guarantee(text, graph, data, options.guarantee)
+        text = _write_guarantee(text, graph, data, options.guarantee, options.off_target or 0.5)
     if options.alarm is not None:
         text = _write_alarm(text, graph, data, options.alarm)
     complain(
@@ -95,7 +95,9 @@ def write_promises(
     return text
 
 
-def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationData], share: float) -> str:
+def _write_guarantee(
+    text: str, graph: CheckedGraph, data: Sequence[CalibrationData], share: float, overlap: float
+) -> str:
     from bayesnet_track.evaluate.guarantees import (
         control_afterwards,
         control_risk,
@@ -110,12 +112,13 @@ def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationD
     frames = (Guarantee(above=0.0) if previous is None else previous).frames
     videos = list(runs_of(data, frames).values())
     with users_mistake():
-        control, afterwards = control_risk(videos, share), control_afterwards(videos, share)
+        control = control_risk(videos, share, overlap)
+        afterwards = control_afterwards(videos, share, overlap)
     promised = f"{100 * share:g} %"
     complain(
         f"guarantee: tracking only while the mean score of {plural(frames, 'frame')} is above "
         f"{control.above:g}. Averaged over new videos, the expected share of frames called tracking with "
-        f"IoU ≤ 0.5 is at most {promised}: a statement about the mean, not about each video. With "
+        f"IoU ≤ {overlap:g} is at most {promised}: a statement about the mean, not about each video. With "
         f"{plural(control.videos, 'video')} the calibrated share may be at most {100 * control.allowed:.2g} "
         f"%; it is {100 * control.risk:.2g} %."
     )
@@ -129,8 +132,8 @@ def _write_guarantee(text: str, graph: CheckedGraph, data: Sequence[CalibrationD
         )
     value = {"above": control.above, "frames": frames, "share": share, "afterwards": list(afterwards)}
     comment = (
-        f"expected share called tracking with IoU <= 0.5 at most {promised}; {100 * control.risk:.2g} % in "
-        f"{plural(control.videos, 'video')}"
+        f"expected share called tracking with IoU <= {overlap:g} at most {promised}; "
+        f"{100 * control.risk:.2g} % in {plural(control.videos, 'video')}"
     )
     return set_value(text, ("targets", name, "nodes", plate.root, "guarantee"), value, comment)
 
@@ -170,6 +173,8 @@ def _fit(options: argparse.Namespace) -> int:
     from bayesnet_track.graph.text.load import load_graph
 
     promises = options.guarantee is not None or options.alarm is not None
+    if options.off_target is not None and options.guarantee is None:
+        raise UsageError("--off-target says which frames are wrong for --guarantee; give that, too")
     quantities = () if promises else _choose("--what", options.what or USUAL_WHAT, WHAT)
     graph, text = load_graph(options.graph), graph_text(options.graph)
     if len(graph.targets) > 1:
@@ -346,6 +351,13 @@ def _add_fit(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="SHARE",
         help="instead of --what: calibrate the score from which on a frame counts as tracking, so that over "
         "new videos on average at most this share of frames counts so while off target",
+    )
+    fit.add_argument(
+        "--off-target",
+        type=_share,
+        metavar="IOU",
+        help="for --guarantee: an IoU up to which a frame is off target (default 0.5); 0.1 is on something "
+        "else",
     )
     fit.add_argument(
         "--alarm",
