@@ -10,9 +10,11 @@ regions that are those of a Gaussian with the column `sd` about `map`.
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from functools import lru_cache
 from statistics import NormalDist
 from typing import Any
 
@@ -153,7 +155,9 @@ def lines_of(columns: Columns) -> Iterator[FrameMetrics]:
         boxes[name] = _fours(region_of(columns, name), count)
     values: dict[str, Sequence[Any]] = {name: _single(columns, name, count) for name in ("ud_px2", *NUMBERS)}
     values |= {name: _nullable(columns, name, count) for name in OPTIONAL}
-    values |= {name: _mappings(columns, name, count) for name in ("ud_nodes", *PER_NODE)}
+    names_by_field = _names_by_field(tuple(columns))
+    for name in ("ud_nodes", *PER_NODE):
+        values[name] = _mappings(columns, names_by_field.get(name, ()), count)
     values |= {name: _words(columns, name, count) for name in ("active", "silent")}
     values |= boxes
     values["status"] = strings(columns["status"])
@@ -243,19 +247,30 @@ def _single(columns: Columns, name: str, count: int) -> list[Any]:
 def _nullable(columns: Columns, name: str, count: int) -> list[float | None]:
     if name not in columns:
         return [None] * count
-    absent = is_absent(columns[name]).tolist()
     values = _single(columns, name, count)
+    if not any(map(math.isnan, values)):
+        return values
+    absent = is_absent(columns[name]).tolist()
     return [None if nothing else value for nothing, value in zip(absent, values, strict=True)]
 
 
-def _mappings(columns: Columns, field: str, count: int) -> list[dict[str, float]]:
+@lru_cache(maxsize=256)
+def _names_by_field(names: tuple[str, ...]) -> dict[str, list[tuple[str, str]]]:
+    """Field -> the columns ``FIELD/NAME`` of it, each with its name."""
+    columns: dict[str, list[tuple[str, str]]] = {}
+    for name in names:
+        field, slash, key = name.partition("/")
+        if slash:
+            columns.setdefault(field, []).append((name, key))
+    return columns
+
+
+def _mappings(columns: Columns, names: Sequence[tuple[str, str]], count: int) -> list[dict[str, float]]:
     mappings: list[dict[str, float]] = [{} for _ in range(count)]
-    for name in columns:
-        if name.startswith(f"{field}/"):
-            key = name[len(field) + 1 :]
-            for row, value in zip(mappings, _nullable(columns, name, count), strict=True):
-                if value is not None:
-                    row[key] = value
+    for name, key in names:
+        for row, value in zip(mappings, _nullable(columns, name, count), strict=True):
+            if value is not None:
+                row[key] = value
     return mappings
 
 
