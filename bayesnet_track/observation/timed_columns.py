@@ -170,7 +170,8 @@ def read_timed_columns(path: str, names: Sequence[str]) -> TimedColumns:
 def _rows(path: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
     try:
         if not Path(path).is_file():
-            raise ColumnsError(f"{path}: no such file")
+            kind = "a folder; allowed: a CSV file" if Path(path).is_dir() else "no such file"
+            raise ColumnsError(f"{path}: {kind}")
         if Path(path).stat().st_size > MAX_BYTES:
             raise ColumnsError(f"{path}: larger than {MAX_BYTES >> 20} MB")
         text = Path(path).read_text(encoding="utf-8-sig").splitlines()

@@ -81,7 +81,8 @@ CASES = [
     ),
     (
         "{size: [500]}",
-        "4:22: s: size is [500]; allowed: a whole number at least 2, at most 1000000",
+        "4:22: s: size is [500]; allowed: a whole number at least 2, at most 1000000 or one of kld, "
+        "kld_revised, kld_revised_simplified, asymptotic_normal, likelihood_sum",
     ),
 ]
 

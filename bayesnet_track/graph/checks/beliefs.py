@@ -194,6 +194,8 @@ def starts_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
                 message = plate.message(name, error.found, error.allowed, key=key)
                 if error.word in fields:
                     message = replace(message, found=f"{error.word!r}, which is no part of the start box")
+                elif error.word in plate.frame_names:
+                    message = replace(message, found=f"{error.word!r}, which a start prior does not know")
                 elif error.word:
                     message = replace(message, nearest=nearest(error.word, error.near))
                 yield plate.at.inside(message, error.at)

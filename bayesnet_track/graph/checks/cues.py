@@ -236,14 +236,20 @@ def categories_are_whole(plate: Plate) -> Iterator[GraphMessage]:
             yield plate.message(name, fault, f"at most {MOST_TOGETHER}", key=("category",), on_key=True)
 
 
-def categories_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
-    """Categories and their values have names that expressions can tell apart."""
-    for name, node, categories in _with_categories(plate):
+def modes_and_categories_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
+    """Modes, categories and their values have names that expressions can tell apart."""
+    for name, node in plate.inference.items():
+        categories = node.category or {}
         meanings = dict.fromkeys((*WORDS, "mode", "t"), "a word of expressions")
         meanings |= dict.fromkeys(plate.frame_names, "an input") | dict.fromkeys(
             plate.constants, "a constant"
         )
         meanings |= dict.fromkeys(further_fields(node), "a field of the state")
+        for mode in node.modes or {}:
+            # Targets of a join have their names before a dot only.
+            if mode in meanings and mode not in ("a", "b"):
+                fault = f"mode {mode!r}, which is {meanings[mode]}"
+                yield plate.message(name, fault, "another name", key=("modes", mode), on_key=True)
         meanings |= dict.fromkeys(node.modes or {}, "a mode")
         for category, settings in categories.items():
             for word, key in ((category, ()), *((value, ("values",)) for value in settings.values)):
@@ -348,6 +354,6 @@ def _words(texts: Iterable[str | None]) -> Iterator[str]:
 
 CATEGORY_CHECKS: tuple[Check, ...] = (
     categories_are_whole,
-    categories_have_their_own_names,
+    modes_and_categories_have_their_own_names,
     confusions_name_categories,
 )

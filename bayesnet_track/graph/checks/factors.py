@@ -168,10 +168,8 @@ def _constants(plate: Plate) -> dict[str, float]:
 
 
 def _modes(plate: Plate) -> dict[str, float]:
-    """The names of modes that are free, with their numbers."""
-    root = plate.inference[plate.roots[0]]
-    reserved = {*WORDS, *plate.constants, *further_fields(root)}
-    return {name: number for name, number in mode_numbers(root).items() if name not in reserved}
+    """The names of modes and of values of categories, with their numbers."""
+    return mode_numbers(plate.inference[plate.roots[0]])
 
 
 def read_factors(plate: Plate) -> dict[str, Factor]:
@@ -205,7 +203,10 @@ def with_nearest(message: GraphMessage, word: str, candidates: tuple[str, ...]) 
             message, hint="t is the time in frame intervals, the frame's number at a constant rate"
         )
     suggestion = nearest(word, candidates)
-    hint = "" if suggestion else f"a column of a CSV file is an input: inputs: {{{word}: {{file: FILE.csv}}}}"
+    is_input = message.found.startswith("unknown name") and not suggestion and word not in STATE_NAMES
+    hint = (
+        "" if not is_input else f"a column of a CSV file is an input: inputs: {{{word}: {{file: FILE.csv}}}}"
+    )
     return replace(message, nearest=suggestion, hint=hint)
 
 
@@ -378,7 +379,7 @@ def givens_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
                 terms.append(parse(text, names, draws=True))
             except ExpressionError as error:
                 message = plate.message(node, error.found, error.allowed, key=(*GIVEN_KEY, name))
-                yield plate.at.inside(_explain(message, error, name), error.at)
+                yield plate.at.inside(_explain(message, error, name, plate), error.at)
         if len(terms) == len(conditional.written) and not any(map(is_drawn, terms)):
             fault = "given without a distribution: the node would have no state of its own"
             yield plate.message(node, fault, "at least one field such as normal(parent.x, 5)", key=GIVEN_KEY)
@@ -428,11 +429,11 @@ def read_givens(plate: Plate) -> dict[str, Conditional]:
     return conditionals
 
 
-def _explain(message: GraphMessage, error: ExpressionError, field: str) -> GraphMessage:
+def _explain(message: GraphMessage, error: ExpressionError, field: str, plate: Plate) -> GraphMessage:
     if error.word in BOX:
         fault = f"{error.word!r} in the distribution of {field!r}, which is drawn before it"
         return replace(message, found=fault if error.word != field else f"{field!r} in its own distribution")
-    if error.word in STATE_NAMES:
+    if error.word in STATE_NAMES or error.word in plate.frame_names:
         fault = f"name {error.word!r}, which a latent node's distribution does not know"
         return replace(message, found=fault)
     return replace(message, nearest=nearest(error.word, error.near)) if error.word else message

@@ -76,6 +76,9 @@ def modes_differ(plate: Plate) -> Iterator[GraphMessage]:
             if same:
                 fault = f"mode {mode!r} cannot be distinguished from {same[0]!r}: they have the same motion"
                 remedy = "a motion of its own, or hidden"
+                if hidden:
+                    fault = f"{fault.partition(':')[0]}: both are hidden, with the same motion"
+                    remedy = f"one of {same[0]}, {mode}; or a motion of its own"
                 yield plate.message(name, fault, remedy, key=("modes", mode), on_key=True)
             earlier.append((mode, motion, hidden))
 

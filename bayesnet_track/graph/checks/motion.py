@@ -229,10 +229,9 @@ def fields_have_their_own_names(plate: Plate) -> Iterator[GraphMessage]:
             if (name in WORDS and name not in MAY_BE_FIELDS) or name == "carried":
                 fault, remedy = f"field {name!r}, which is a word of the language", "another name"
                 yield plate.message(node, fault, remedy, key=key, on_key=True)
-            elif name in plate.constants:
-                yield plate.message(
-                    node, f"field {name!r}, which is a constant", "another name", key=key, on_key=True
-                )
+            elif name in (*plate.constants, *plate.frame_names):
+                fault = f"field {name!r}, which is {'a constant' if name in plate.constants else 'an input'}"
+                yield plate.message(node, fault, "another name", key=key, on_key=True)
 
 
 def formulas_can_be_read(plate: Plate) -> Iterator[GraphMessage]:

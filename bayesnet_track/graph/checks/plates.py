@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from bayesnet_track.graph.checked import Calibration
-from bayesnet_track.graph.expressions.terms import WORDS
 from bayesnet_track.graph.settings.cameras import CameraSource
 from bayesnet_track.graph.settings.motion import Motion
 from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, Target
@@ -220,17 +219,16 @@ def root_of(target: Target) -> InferenceNode | None:
 def numbers_of_kinds(spec: GraphSpec, kinds: Iterable[str]) -> dict[str, float]:
     """Names of numbers in an expression about targets of some kinds: constants, modes, values of categories.
 
-    A mode or a value is left out that has the name of something else, or different numbers in two kinds.
+    A mode or a value is left out that has different numbers in two kinds.
     """
     numbers: dict[str, float] = {}
-    reserved = {*WORDS, *spec.constants, *spec.inputs}
+    reserved: set[str] = set()
     for kind in dict.fromkeys(kinds):
         root = root_of(spec.targets[kind])
         root_numbers = {} if root is None else mode_numbers(root)
         reserved |= {
             name for name in root_numbers.keys() & numbers.keys() if root_numbers[name] != numbers[name]
         }
-        reserved |= set() if root is None else {*moving_fields(root)}
         numbers |= root_numbers
     free = {name: number for name, number in numbers.items() if name not in reserved}
     return {**free, **spec.constants}

@@ -105,6 +105,7 @@ class _Token:
 
 
 _END = "the end"
+_ONE = "one distribution, or a value without any"
 
 
 def _tokens(text: str) -> list[_Token]:
@@ -154,8 +155,7 @@ class _Parser:
             raise self.error(self.next, "an operation, or the end of the expression")
         first = self.tokens[0]
         if self.omitted and first.text in DENSITIES and (term.at, self.is_one_call()) != (first.at, True):
-            fault = f"{first.text} inside an expression"
-            raise ExpressionError(fault, "one distribution, or a value without any", first.at)
+            raise ExpressionError(f"{first.text} inside an expression", _ONE, first.at)
         return term
 
     def is_one_call(self) -> bool:
@@ -244,6 +244,9 @@ class _Parser:
             raise ExpressionError(fault, f"an sd, or one of {', '.join(AROUND_0)}", token.at)
         if is_drawn:
             function = Function(function.parameters[self.omitted :], function.meaning)
+        shorter = len(arguments) == len(function.parameters) - self.omitted
+        if self.omitted and not is_drawn and token.text in DENSITIES and shorter:
+            raise ExpressionError(f"{token.text} inside an expression", _ONE, token.at)
         if not function.takes(len(arguments)):
             fault = f"{token.text} with {len(arguments)} argument{'' if len(arguments) == 1 else 's'}"
             raise ExpressionError(fault, token.text + function.form, token.at)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from math import isfinite
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -96,13 +98,39 @@ def _walk(location: tuple[str | int, ...], model: type[BaseModel], data: Any) ->
             return steps
         if shape.only is None:
             member = next((kind for kind in shape.kinds if _tag(kind) == part), None)
-            is_word = number == len(location) - 1 and get_origin(shape_of(member).only) is Literal
-            if member is None or is_word:
+            is_last = number == len(location) - 1
+            if member is None or (is_last and _is_other(steps[-1].value, shape_of(member).only)):
                 return steps
             steps[-1] = replace(steps[-1], shape=shape_of(member))
             continue
         steps.append(_Step(part, _shape_inside(shape.only, part), _value_inside(steps[-1].value, part)))
     return steps
+
+
+def _nested(key: str, value: Any, model: type[BaseModel]) -> str:
+    """Hint for a value where a mapping is needed: its first key that takes such a value.
+
+    >>> from bayesnet_track.graph.settings.beliefs import Particles
+    >>> _nested("particles", 800, Particles), _nested("particles", True, Particles)
+    ('write particles: {size: 800}', 'write particles: {}')
+    """
+    if value is True or value is None:
+        required = any(field.is_required() for field in model.model_fields.values())
+        return "" if required else f"write {key}: {{}}"
+    if not isinstance(value, int | float | str):
+        return ""
+    plain = (str,) if isinstance(value, str) else (int, float)
+    for name, field in model.model_fields.items():
+        kinds = [shape_of(kind).only for kind in shape_of(field.annotation).kinds]
+        if any(kind in plain for kind in kinds):
+            return f"write {key if key != name else 'NAME'}: {{{name}: {value}}}"
+    return ""
+
+
+def _is_other(value: Any, kind: Any) -> bool:
+    """True if a value is no word of a member that is one, or no number of a member that is a number."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return get_origin(kind) is Literal or (kind in (int, float) and not is_number)
 
 
 def _value_inside(data: Any, part: str | int) -> Any:
@@ -149,6 +177,11 @@ def _explain(
         return replace(message, allowed="nodes by name, indented below it", hint=_without_nodes(parent.value))
     if isinstance(owner, type) and issubclass(owner, PluginChoice):
         if kind == "value_error":
+            numbers = _not_finite(parent.value)
+            if numbers:
+                return positions.message(
+                    (*path[:-1], *numbers), f"{_name_of(numbers)} is not finite", "a number"
+                )
             fault, remedy = "parameters that are not plain data", "words, finite numbers, lists and mappings"
         else:
             fault = "parameters that are not a mapping"
@@ -170,9 +203,32 @@ def _explain(
         else f"{name} is empty"
     )
     word = innermost.value if isinstance(innermost.value, str) else ""
-    return positions.message(
+    message = positions.message(
         path, fault, remedy or _reason(reason), word=word, candidates=_words(innermost.shape)
     )
+    return replace(message, hint=_as_written(innermost, name, steps[0].value))
+
+
+def _as_written(step: _Step, name: str, data: Any) -> str:
+    """Hint for a value of another form: the mapping that it would be, or a constant where none is read."""
+    only = step.shape.only if step.shape is not None else None
+    if isinstance(only, type) and issubclass(only, BaseModel) and not issubclass(only, Choice | PluginChoice):
+        return _nested(name, step.value, only)
+    constants = data.get("constants") if isinstance(data, Mapping) else None
+    if isinstance(step.value, str) and isinstance(constants, Mapping) and step.value in constants:
+        return "constants are read by expressions alone: write the number here"
+    return ""
+
+
+def _not_finite(value: Any) -> KeyPath | None:
+    """The keys above a number of parameters that is infinite or NaN; None where all are finite."""
+    if isinstance(value, float) and not isfinite(value):
+        return ()
+    pairs = (
+        value.items() if isinstance(value, Mapping) else enumerate(value if isinstance(value, list) else ())
+    )
+    keys = ((key, _not_finite(content)) for key, content in pairs)
+    return next(((key, *tail) for key, tail in keys if tail is not None), None)
 
 
 def _without_nodes(target: Any) -> str:
@@ -212,8 +268,47 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: KeyPath, positions:
     message = positions.message(
         path, fault, fields or "no settings", word=word, candidates=candidates, on_key=True
     )
-    hint = _misplaced(word, parent.value, owner) if fields else ""
+    hint = (_misplaced(word, parent.value, owner) if fields else "") or _home(word)
     return replace(message, nearest="", hint=hint) if hint else message
+
+
+def _home(word: str) -> str:
+    """Hint of where in the language a key stands; empty where that may be at several places.
+
+    >>> _home("static_discount"), _home("sd")
+    ('`static_discount` is a key of targets: NAME: nodes: NAME: motion: expressions', '')
+    """
+    node = ("targets", "NAME", "nodes", "NAME")
+    places = sorted(place for place in _places().get(word, ()) if "modes" not in place)
+    if node in places and len(places) < 4:
+        return f"`{word}` is a key of {': '.join(node)}"
+    if not places or any(place[:-1] != places[0][:-1] for place in places):
+        return ""
+    home = (*places[0][:-1], " or ".join(place[-1] for place in places if place))
+    return f"`{word}` is a key of {': '.join(home)}"
+
+
+@cache
+def _places() -> Mapping[str, set[tuple[str, ...]]]:
+    """Each key of the language -> the keys above it, of every place where it may stand."""
+    places: dict[str, set[tuple[str, ...]]] = {}
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), GraphSpec)]
+    while waiting:
+        path, annotation = waiting.pop()
+        for kind in (shape_of(kind).only for kind in shape_of(annotation).kinds):
+            arguments = get_args(kind)
+            if arguments and get_origin(kind) is not Literal:
+                waiting += (
+                    [((*path, "NAME"), arguments[1])] if len(arguments) == 2 else [(path, arguments[0])]
+                )
+            elif (
+                isinstance(kind, type) and issubclass(kind, BaseModel) and not issubclass(kind, PluginChoice)
+            ):
+                for name, setting in kind.model_fields.items():
+                    places.setdefault(name, set()).add(path)
+                    if name not in path:
+                        waiting.append(((*path, name), setting.annotation))
+    return places
 
 
 def _misplaced(word: str, mapping: Any, model: type[BaseModel]) -> str:

@@ -62,7 +62,7 @@ def expects(annotation: Any, constraints: Iterable[Any] = ()) -> str:
     if origin is tuple or origin is list:
         return f"a list{_length(get_args(kind), shape.constraints)}, each {expects(get_args(kind)[0])}"
     if origin is not None and issubclass(origin, Mapping):
-        return f"a mapping, each {expects(get_args(kind)[1])}"
+        return f"a mapping{_key_limit(shape.constraints)}, each {expects(get_args(kind)[1])}"
     if not isinstance(kind, type):
         return ""
     if issubclass(kind, Choice):
@@ -74,6 +74,8 @@ def expects(annotation: Any, constraints: Iterable[Any] = ()) -> str:
     plain = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}.get(kind, "")
     if not plain:
         return ""
+    if any(_get(c, "tag") == "text" for c in shape.constraints):
+        plain = "an expression"
     if any(_get(c, "pattern") for c in shape.constraints):
         return "a letter, then up to 63 letters, digits or _"
     return plain + ",".join(_limits(shape.constraints))
@@ -95,6 +97,12 @@ def _length(members: tuple[Any, ...], constraints: Iterable[Any]) -> str:
     if smallest == largest:
         return f" of {largest}"
     return f" of {smallest} to {largest}" if smallest else f" of at most {largest}"
+
+
+def _key_limit(constraints: Iterable[Any]) -> str:
+    """Number of keys that a mapping may have, where that is few."""
+    limit = min((bound for c in constraints if (bound := _get(c, "max_length")) is not None), default=99)
+    return f" of at most {limit} keys" if limit < 20 else ""
 
 
 def _limits(constraints: Iterable[Any]) -> Iterator[str]:
@@ -142,8 +150,8 @@ _FILTERS = ("kalman", "extended_kalman", "unscented_kalman", "ekf", "ukf")
 def hint_of(message: GraphMessage) -> str:
     """Hint how it is mended, in one line; empty where the message says it all.
 
-    >>> hint_of(GraphMessage("a.yaml", 1, 1, (), "ball", "particles is 800", "a mapping with size, min"))
-    'write particles: {size: 800}'
+    >>> hint_of(GraphMessage("a.yaml", 1, 1, (), "f", "character '^'", "numbers, names, + - * / ** ( )"))
+    'a power is x ** 2'
     """
     if message.hint:
         return message.hint
@@ -153,11 +161,6 @@ def hint_of(message: GraphMessage) -> str:
         if match:
             return words(match, message)
     return ""
-
-
-def _nested(match: re.Match[str], _: GraphMessage) -> str:
-    """A number where a mapping is needed: the mapping's first key takes it."""
-    return f"write {match['key']}: {{{match['first']}: {match['value']}}}"
 
 
 def _parent(_: re.Match[str], message: GraphMessage) -> str:
@@ -187,6 +190,60 @@ def _opened(construct: str, or_else: str = "") -> Callable[[re.Match[str], Graph
 def _colon(match: re.Match[str], message: GraphMessage) -> str:
     line = match["line"] or message.line
     return f"in line {line}, a key is followed by a colon and a space, as in bayesnet: 1"
+
+
+_SIGNS = {
+    "=": "two values are compared by ==",
+    "'": "names, also those of modes and of values of categories, stand without quotes",
+    "%": "the remainder is mod(a, b); a share is a number such as 0.05",
+    "&": "two conditions are joined by `and`",
+    "|": "two conditions are joined by `or`",
+    "^": "a power is x ** 2",
+    "!": "the opposite is `not`, unequal is !=",
+    "?": "one of two values is where(condition, a, b)",
+    "~": "a factor is the density itself: normal(h, 12, 3)",
+    "[": "a mode, a value or a quantity is named alone; lists are not of the language",
+    "{": "a mode, a value or a quantity is named alone; mappings are not of the language",
+}
+_SIGNS |= dict.fromkeys(('"',), _SIGNS["'"])
+_FUNCTIONS = {
+    **dict.fromkeys(("gaussian", "gauss", "norm", "N", "Normal", "Gaussian"), "normal(value, mean, sd)"),
+    **dict.fromkeys(("cauchy", "Cauchy"), "student_t with 1 degree of freedom"),
+    **dict.fromkeys(("round", "ceil", "int", "trunc"), "floor(a + 0.5) is the nearest whole number"),
+    **dict.fromkeys(("pow", "square", "sqr"), "a power is x ** 2"),
+    **dict.fromkeys(("arctan", "atan"), "atan2(y, x), whose angle is right in every quadrant"),
+    **dict.fromkeys(("If", "iff", "ifelse", "if"), "where(condition, a, b)"),
+    **dict.fromkeys(("ln", "log10"), "log(a), the natural logarithm"),
+}
+_NOISE = (
+    "this is the value itself, without noise, of which the sd stands under `sd`; "
+    "a density is a number, of a value that stands first: normal(value, mean, sd)"
+)
+
+
+def _sign(match: re.Match[str], _: GraphMessage) -> str:
+    return _SIGNS.get(match["sign"] or match["quote"], "")
+
+
+def _function(match: re.Match[str], message: GraphMessage) -> str:
+    return "" if message.nearest else _FUNCTIONS.get(match["word"], "")
+
+
+def _without_value(_: re.Match[str], message: GraphMessage) -> str:
+    """A distribution without the value that it is the density of, where nothing is drawn."""
+    if {"drift", "measures"} & {*message.path}:
+        return _NOISE
+    is_noise = "sd" in message.path and "expressions" in message.path
+    return "the noise of a motion is normal: an sd alone, such as sd: {x: 3}" if is_noise else ""
+
+
+def _unknown_constant(match: re.Match[str], message: GraphMessage) -> str:
+    """A distribution where a number is needed: its start prior, of a field that is named or still to be."""
+    name = message.path[-2] if "fields" in message.path else match["key"]
+    prior = f'with a start prior beside the motion, start: {{{name}: "{match["text"]}"}}'
+    if "fields" in message.path:
+        return f"fields: {{{name}: {{}}}} {prior}"
+    return f"an unknown constant is a field of a motion by expressions, fields: {{{name}: {{}}}}, {prior}"
 
 
 def _always(text: str) -> Callable[[re.Match[str], GraphMessage], str]:
@@ -236,19 +293,47 @@ RULES: Sequence[Rule] = (
     (r"^key 'parent' is missing", _parent),
     (r"^unknown cue '[^']+'", _own_cue),
     (
-        r"^(?P<key>\w+) is (?P<value>-?[\d.]+); allowed: (?:a mapping with|one of) (?P<first>\w+)",
-        _nested,
+        r"^(?P<key>\w+) is (?P<value>-?[\d.]+); allowed: one of (?P<first>\w+)",
+        lambda match, _: f"write {match['key']}: {{{match['first']}: {match['value']}}}",
     ),
 )
 """Pattern of found and allowed -> the hint; the first that fits."""
 
 OTHER_FORMS: Sequence[Rule] = (
+    (r"^character (?:'(?P<sign>.)'|\"(?P<quote>.)\")", _sign),
+    (r"^unknown function '(?P<word>\w+)'", _function),
+    (
+        r"^(?P<key>hidden|existence|identity|gaussian|particles|grid) is empty; allowed: a value",
+        lambda match, _: f"its defaults are written {match['key']}: {{}}",
+    ),
+    (r"^'if' where", _always("one of two values is where(condition, a, b)")),
+    (
+        r"^(?:normal|laplace|student_t|logistic|uniform|lognormal|gamma|exponential)\w* with \d",
+        _without_value,
+    ),
+    (
+        r"; allowed: a number[\w ]* or an expression",
+        _always('an expression or a distribution is written as text: "normal(12, 3)"'),
+    ),
     (
         r"^(?P<key>\w+) is '(?P<text>[a-z_]+\(.*\))'; allowed: a number$",
-        lambda match, _: (
-            f"an unknown constant is a field of a motion by expressions, fields: {{{match['key']}: {{}}}}, "
-            f'with a start prior beside the motion, start: {{{match["key"]}: "{match["text"]}"}}'
+        _unknown_constant,
+    ),
+    (
+        r"^\w+ is '[^']+'; allowed: a number$",
+        lambda _, message: (
+            "a constant is a number; what is computed with it stands where it is read"
+            if message.path[0] == "constants"
+            else ""
         ),
+    ),
+    (
+        r"^unknown name 'mode'",
+        _always("each mode has a motion of its own: modes: {NAME: {motion: ..}}"),
+    ),
+    (
+        r"^unknown key '(?:heavy_tail|noise|robust|cov|covariance)'; allowed: floor, file, sd",
+        _always('errors are independent, each by its sd, or heavy-tailed: sd: {x: "student_t(2, 3)", y: 2}'),
     ),
     (
         r"^unknown key '(?P<key>relocalize|camera|inflate|size_reversion)'; allowed: fields, drift",
@@ -278,7 +363,7 @@ OTHER_FORMS: Sequence[Rule] = (
         ),
     ),
     (
-        r"cannot be distinguished from",
+        r"cannot be distinguished from .*: they have",
         _always(
             "what a target is and stays is no mode: category: {team: {values: [red, blue]}} at the root, "
             "with labels of detections or a factor as evidence"

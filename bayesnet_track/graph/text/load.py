@@ -104,7 +104,7 @@ def _mend(value: Any, message: GraphMessage) -> list[KeyPath]:
         return concerned
     del _value_at(value, node[:-1])[node[-1]]
     # A node that stands outside all targets may belong to any of them.
-    return [()] if message.hint and len(path) < 3 else [path[:2], ("joins",)]
+    return [()] if "`nodes:`" in message.hint and len(path) < 3 else [path[:2], ("joins",)]
 
 
 def _written(value: Any, path: KeyPath) -> KeyPath:
