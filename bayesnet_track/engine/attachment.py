@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, PairMemory
 from bayesnet_track.belief.contract import Posterior, Step
-from bayesnet_track.belief.motion.attached import Attached, with_carried, without_carried
+from bayesnet_track.belief.motion.delayed import Attached, with_carried, without_carried
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.filtering import Filtered, Ride
 from bayesnet_track.engine.frame_context import FrameContext

@@ -9,11 +9,10 @@ import numpy as np
 from bayesnet_track.adapt.rule_inputs import Reading, read_level
 from bayesnet_track.adapt.status import next_try
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.composed import Influences, compose_motion, inflation_factor, kinematics_of
+from bayesnet_track.belief.motion.delayed import Attached, CameraShift, camera_shift
 from bayesnet_track.belief.motion.jumps import Jumping, Search, Within
 from bayesnet_track.belief.motion.modes import Modal
-from bayesnet_track.belief.motion.shifted import CameraShift, camera_shift
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.graph.settings.adapt import Level
 from bayesnet_track.graph.settings.motion import Relocalize

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bayesnet_track.belief.particles.adaptive_size import formulas_in, static_fields
 from bayesnet_track.belief.particles.belief import ParticleFilter
-from bayesnet_track.belief.particles.kernel_shrinkage import formulas_in, static_fields
 from bayesnet_track.engine.frame_context import FrameContext, route_inputs
 from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
 from bayesnet_track.engine.step import Engine, finish_first, start_all

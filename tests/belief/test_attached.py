@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.motion.attached import FIELD, Attached, with_carried, without_carried
+from bayesnet_track.belief.motion.delayed import FIELD, Attached, with_carried, without_carried
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.belief import map_index
 from bayesnet_track.belief.particles.particle_set import ParticleSet

@@ -5,8 +5,8 @@ import pytest
 
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.gaussian.belief import predict, require_linear
-from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.borders import Confined, Reflecting, confined, framed
+from bayesnet_track.belief.motion.delayed import Attached
 from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.belief import ParticleFilter

@@ -3,8 +3,8 @@
 import numpy as np
 
 from bayesnet_track.belief.motion.composed import Influences, Nested, compose_motion, turning
+from bayesnet_track.belief.motion.delayed import CameraShift
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.graph import spec
 
 SETTINGS = spec.Motion.model_validate(

@@ -6,7 +6,7 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.grid.belief import GridFilter
-from bayesnet_track.belief.grid.formulas import predict_by_function
+from bayesnet_track.belief.grid.cells import predict_by_function
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, derivative, make_formula_motion, undefined_in
 from bayesnet_track.belief.particles.belief import ParticleFilter

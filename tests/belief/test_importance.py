@@ -11,9 +11,8 @@ from bayesnet_track import load_graph
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.belief.particles.belief import ParticleFilter, ParticleSet
-from bayesnet_track.belief.particles.fitted import Kernels, log_mixture, log_prior
 from bayesnet_track.belief.particles.importance import surprise
-from bayesnet_track.belief.particles.proposals import neighbourhoods
+from bayesnet_track.belief.particles.proposals import Kernels, log_mixture, log_prior, neighbourhoods
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.text.sentences import explain

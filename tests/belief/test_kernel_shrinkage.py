@@ -7,8 +7,8 @@ import pytest
 
 from bayesnet_track import Tracker, load_graph
 from bayesnet_track.belief.contract import Evidence
+from bayesnet_track.belief.particles.adaptive_size import static_fields
 from bayesnet_track.belief.particles.belief import ParticleFilter, shrink_constants
-from bayesnet_track.belief.particles.kernel_shrinkage import static_fields
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.text.messages import GraphError

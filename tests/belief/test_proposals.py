@@ -8,7 +8,6 @@ import pytest
 from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.belief.particles.adaptive_size import evaluate_sample, move
-from bayesnet_track.belief.particles.fitted import flatten_to_ess
 from bayesnet_track.belief.particles.importance import (
     auxiliary_pass,
     combine,
@@ -26,6 +25,7 @@ from bayesnet_track.belief.particles.proposals import (
     draw_fitted,
     fit_message,
     fit_proposal,
+    flatten_to_ess,
     mix_defensive,
     paired_log_density,
 )

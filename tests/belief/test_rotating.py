@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.composed import Nested, turning
+from bayesnet_track.belief.motion.delayed import Attached
 from bayesnet_track.belief.motion.jumps import Jumping, Search
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.belief import map_index

@@ -7,9 +7,9 @@ import pytest
 
 from bayesnet_track.belief.gaussian.belief import predict
 from bayesnet_track.belief.motion.composed import inflate_noise, inflation_factor, revert_size
+from bayesnet_track.belief.motion.delayed import CameraShift, ShiftedMotion, camera_shift
 from bayesnet_track.belief.motion.formulas import derivative
 from bayesnet_track.belief.motion.models import linear_gaussian
-from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion, camera_shift
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.spec import SizeReversion
 

@@ -7,10 +7,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from bayesnet_track.belief.motion.attached import Attached
 from bayesnet_track.belief.motion.composed import Nested, turning
+from bayesnet_track.belief.motion.delayed import Attached, ShiftedMotion
 from bayesnet_track.belief.motion.jumps import Jumping
-from bayesnet_track.belief.motion.shifted import ShiftedMotion
 from bayesnet_track.engine.predicting import MotionContext, predict_motion, start_motion_context
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.beliefs import Reappeared

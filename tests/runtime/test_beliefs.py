@@ -10,8 +10,8 @@ from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.motion.composed import Influences
+from bayesnet_track.belief.motion.delayed import CameraShift
 from bayesnet_track.belief.motion.models import make_motion
-from bayesnet_track.belief.motion.shifted import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.predicting import MotionContext
 from bayesnet_track.engine.step import TargetState

@@ -31,9 +31,9 @@ from bayesnet_track.belief.grid.cells import (
     crop_patch,
     find_kept,
     limits_of,
+    predict_by_function,
     stack_patches,
 )
-from bayesnet_track.belief.grid.formulas import predict_by_function
 from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.formulas import FormulaMotion
 from bayesnet_track.numerics.arrays import Floats

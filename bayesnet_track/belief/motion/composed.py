@@ -11,11 +11,10 @@ import numpy as np
 
 from bayesnet_track.belief.contract import BOX_FIELDS, LEAST_SIDE_PX, Ancestors, MotionModel
 from bayesnet_track.belief.motion.borders import Confined, Reflecting
-from bayesnet_track.belief.motion.delayed import Delayed
+from bayesnet_track.belief.motion.delayed import CameraShift, Delayed, ShiftedMotion
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_gaussian
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.motion.shifted import CameraShift, ShiftedMotion
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.checked import CLOCK, RATE, LastingError
 from bayesnet_track.graph.settings.motion import BoxSd, Moving, SizeReversion

@@ -10,8 +10,8 @@ from bayesnet_track.belief.contract import Ancestors, MotionModel, hypotheses_of
 from bayesnet_track.belief.motion.borders import Confined, Wrapped
 from bayesnet_track.belief.motion.modes import Modal
 from bayesnet_track.belief.motion.noise import Transition
-from bayesnet_track.belief.particles.fitted import flatten_to_ess
 from bayesnet_track.belief.particles.particle_set import Inputs
+from bayesnet_track.belief.particles.proposals import flatten_to_ess
 from bayesnet_track.journal.events.beliefs import Reappeared
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights

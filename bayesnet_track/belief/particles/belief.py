@@ -13,9 +13,8 @@ from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.jumps import modal_of
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.belief.motion.modes import FIELD, Modal
-from bayesnet_track.belief.particles.adaptive_size import start_size
+from bayesnet_track.belief.particles.adaptive_size import formulas_in, start_size, static_fields
 from bayesnet_track.belief.particles.importance import proposal_of
-from bayesnet_track.belief.particles.kernel_shrinkage import formulas_in, static_fields
 from bayesnet_track.belief.particles.particle_set import Inputs, ParticleSet
 from bayesnet_track.belief.particles.sample_size import SizeMemory, WeightedSample, prior_of
 from bayesnet_track.graph import spec

@@ -19,14 +19,16 @@ from bayesnet_track.belief.particles.adaptive_size import (
     resize_by,
     start_size,
 )
-from bayesnet_track.belief.particles.fitted import Kernels, flatten_to_ess, log_prior
 from bayesnet_track.belief.particles.particle_set import Inputs
 from bayesnet_track.belief.particles.proposals import (
     CombinedSample,
     Draws,
+    Kernels,
     confine_to_image,
     draw_by_parents,
     draw_fitted,
+    flatten_to_ess,
+    log_prior,
     log_sum,
     mix_defensive,
     reweight_sample,

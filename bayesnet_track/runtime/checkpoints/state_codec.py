@@ -30,7 +30,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.grid.cells import GridBelief, Lattice
 from bayesnet_track.belief.motion.composed import Influences
-from bayesnet_track.belief.motion.shifted import CameraShift
+from bayesnet_track.belief.motion.delayed import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.belief.particles.sample_size import SampleSize, SizeMemory
 from bayesnet_track.engine.predicting import MotionContext

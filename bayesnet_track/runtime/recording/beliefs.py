@@ -21,7 +21,7 @@ from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.grid.cells import AXIS, GridBelief
 from bayesnet_track.belief.motion.composed import Influences
-from bayesnet_track.belief.motion.shifted import CameraShift
+from bayesnet_track.belief.motion.delayed import CameraShift
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.state import TargetState
