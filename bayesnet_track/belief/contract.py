@@ -18,10 +18,11 @@ from bayesnet_track.belief.motion.noise import Transition
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.expressions.distributions import LinearNormal
 from bayesnet_track.journal.events.event import Event
-from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.distributions import nearest_probable
 from bayesnet_track.numerics.log_weights import LogWeights
 from bayesnet_track.observation.cue import Hypotheses, Measurement
+from bayesnet_track.observation.protocols import Seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,8 @@ class Evidence:
         linear: factor of the root that is a product of normal densities of linear forms -> these. Only where
             the root's belief is a Gaussian without modes, which takes them exactly.
         sampled: (N,) the net's log-likelihood without `gaussians` and `linear`; None when there are none.
-        measured: agent that measures -> what it measured; None when it saw nothing and is left out.
+        measured: agent that measures -> what it measured; None when it saw nothing and is left out. Of
+            agents whose detections are `Choices` of a group only those that saw nothing.
         factors: factor -> (N,) its log density at the node that it weighs.
         log_constants: agent that measured -> what the net's log-likelihood lacks, by it, to be the log
             density of what was measured. Agents that score, or that are given detections, have none.
@@ -82,6 +84,47 @@ class Evidence:
     factors: Mapping[str, Floats] = field(default_factory=dict)
     log_constants: Mapping[str, float] = field(default_factory=dict)
     linear: Mapping[str, tuple[LinearNormal, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Choices:
+    """Detections that may be those of T targets, each a quantity z = h(x) + N(0, R) of K values.
+
+    Attributes:
+        fields: names of the values.
+        starts: (T + 1,) where the detections of each target begin in the next three.
+        values: (P, K) what was measured.
+        covariances: (P, K, K) of the errors, beside those that `quantities` have of what is expected.
+        weights: (P,) the probability that it is the target's.
+        missed: (T,) that none is.
+        quantities: h, where the values are no fields of the state.
+    """
+
+    fields: tuple[str, ...]
+    starts: Ints
+    values: Floats
+    covariances: Floats
+    weights: Floats
+    missed: Floats
+    quantities: Seen | None = None
+
+    @property
+    def counts(self) -> Ints:
+        """(T,) number of detections of each target."""
+        return self.starts[1:] - self.starts[:-1]
+
+
+@dataclass(frozen=True, eq=False)
+class GroupEvidence:
+    """Evidence of the net about the hypotheses of each of T targets.
+
+    Attributes:
+        by_target: of one target after the other.
+        choices: agent -> its detections, which are in no evidence of a target.
+    """
+
+    by_target: Sequence[Evidence]
+    choices: Mapping[str, Choices] = field(default_factory=dict)
 
 
 Evaluate = Callable[[Hypotheses, Floats], Evidence]

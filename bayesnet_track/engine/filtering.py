@@ -16,6 +16,7 @@ from bayesnet_track.belief.contract import (
     BeliefFilter,
     Evaluate,
     Evidence,
+    GroupEvidence,
     MotionModel,
     Posterior,
     Step,
@@ -42,7 +43,7 @@ from bayesnet_track.inference.compile import Observe, Plan, compile_plan
 from bayesnet_track.inference.factors import Flaw
 from bayesnet_track.inference.hidden import Sight, evaluate_modes
 from bayesnet_track.inference.messages import Observer, evaluate
-from bayesnet_track.inference.observe import Answer
+from bayesnet_track.inference.observe import Answer, Detected
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
@@ -162,7 +163,7 @@ def ready_each(work: FrameContext, states: Mapping[str, TargetState]) -> list[tu
             groups.setdefault(key, []).append(target)
     steps: dict[str, Stepped] = {}
     for group in groups.values():
-        if len(group) > 1:
+        if len(group) > 1 or Detected.fits(group[0].plan):
             steps |= _step_each(work, group)
     return [(target, steps.get(target.target)) for target in ready]
 
@@ -284,7 +285,7 @@ def _evaluate_each(
     observers: Sequence[Observer],
     hypotheses: Sequence[Hypotheses],
     log: Sequence[Floats],
-) -> list[Evidence]:
+) -> GroupEvidence:
     """Evidence of the net about each one's hypotheses; agents that score many targets are asked once."""
     plan, compiled = group[0].plan, work.plate_of(group[0].target)
     references = {
@@ -306,6 +307,11 @@ def _evaluate_each(
         projected = {view.node: view.project(together, work.frame) for view in plan.views}
         ends = pairwise(starts.tolist())
         views = [{node: cloud.part(*rows) for node, cloud in projected.items()} for rows in ends]
+    size = len(hypotheses[0])
+    if Detected.fits(plan) and all(len(cloud) == size for cloud in hypotheses):
+        detected = Detected.read(plan, observers)
+        if detected is not None:
+            return detected.evaluate([clouds or {} for clouds in views], size)
     if references:
         scored = {
             observe: replace(observe, temperature=1.0)
@@ -318,10 +324,8 @@ def _evaluate_each(
             if t not in failed:
                 rows = slice(starts[t], starts[t + 1])
                 known_answers[t] = {observe: answers[observe.agent][rows] for observe in scored}
-    return [
-        evaluate(plan, *inputs)
-        for inputs in zip(observers, hypotheses, log, known_answers, views, strict=True)
-    ]
+    inputs_of_each = zip(observers, hypotheses, log, known_answers, views, strict=True)
+    return GroupEvidence([evaluate(plan, *inputs) for inputs in inputs_of_each])
 
 
 def _scores_each(cue: object) -> bool:

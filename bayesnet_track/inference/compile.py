@@ -6,7 +6,7 @@ A pure function, called again at every reconfiguration.
 from __future__ import annotations
 
 import re
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 
 from bayesnet_track.graph.checked import CheckedTarget, Conditional, Factor, MeasuredAs
@@ -16,6 +16,7 @@ from bayesnet_track.graph.settings.net import pool_exponents
 from bayesnet_track.graph.spec import AgentNode, Fuse, Given
 from bayesnet_track.inference.factors import Weigh
 from bayesnet_track.inference.views import View, views_below
+from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.cue import AnyCue, AssociatingCue, AssociationRule, MeasuringCue, rule_of
 from bayesnet_track.observation.planes import Plane
 
@@ -58,6 +59,12 @@ class Observe:
     functions: MeasuredAs | None = None
     camera: str = ""
     rule: AssociationRule | None = field(default=None, compare=False)
+
+    @property
+    def errors(self) -> Callable[[Floats], Floats] | None:
+        """Variances of detections of expected boxes (T, 4), by the rule; None of other agents."""
+        rule = self.rule
+        return None if rule is None else lambda boxes: rule.variances(boxes) * self.temperature
 
 
 @dataclass(frozen=True)

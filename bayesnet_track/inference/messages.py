@@ -97,7 +97,7 @@ def evaluate(
             answer = to_power(answer, 1.0 / step.temperature)
             messages[step.agent] = measurement_message(answer, hypotheses_of[step.at])
             if (view := plan.view(step.at)) is not None:
-                answer = through(view, answer, step.agent, _errors(step))
+                answer = through(view, answer, step.agent, step.errors)
             measured[step.agent] = answer
         elif answer is None:
             measured[step.agent] = None
@@ -116,12 +116,6 @@ def evaluate(
     at_root = _log_constants(plan, constants, present)
     details = (joined.gaussians, sampled, measured, factors, at_root, linear)
     return Evidence(total, node_messages, latent, faults, *details)
-
-
-def _errors(step: Observe) -> Callable[[Floats], Floats] | None:
-    """Variances of detections of expected boxes (T, 4), as the agent's rule says; None of other agents."""
-    rule = step.rule
-    return None if rule is None else lambda boxes: rule.variances(boxes) * step.temperature
 
 
 def _weigh_factors(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Stream
+from bayesnet_track.belief.contract import BOX_FIELDS, Choices, Evidence, GroupEvidence, Stream
 from bayesnet_track.inference.asking import (
     Missing,
     TargetAvailability,
@@ -24,12 +24,16 @@ from bayesnet_track.inference.asking import (
     is_elsewhere,
     score,
 )
-from bayesnet_track.inference.compile import Observe
+from bayesnet_track.inference.compile import Observe, Plan
 from bayesnet_track.inference.factors import Factors
+from bayesnet_track.inference.gaussian_messages import FAR
+from bayesnet_track.inference.views import cut_covariance
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import LEAST_VISIBLE, shares_inside
+from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import (
     FAULTS,
+    OWN_DETECTION,
     AnyCue,
     Hypotheses,
     Measurement,
@@ -319,3 +323,101 @@ def _check_choices(
     if not all(0.0 <= weight <= 1.0 for weight in weights) or sum(weights) > 1.0 + 1e-9:
         return f"measured choices with probabilities that sum to {sum(weights):.6g}"
     return tuple(checked)
+
+
+NO_CHOICES = np.empty((0, 6))
+"""Of a target that none of the detections may be: box, score and probability of each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Detected:
+    """Detections that several targets may have, of a net of products whose agents are given nothing else.
+
+    None of its agents has to be asked: their rules say how each measures a detection's box.
+
+    Attributes:
+        plan: the net.
+        choices: agent's step -> its detections.
+    """
+
+    plan: Plan
+    choices: Mapping[Observe, Choices]
+
+    @staticmethod
+    def fits(plan: Plan) -> bool:
+        """True of a net of products whose agents are all given detections in images of cameras."""
+        return (
+            len(plan.observations) > 0
+            and not (plan.draws or plan.factors)
+            and all(fusion.kind == "product" for fusion in plan.fusions)
+            and all(step.rule is not None and plan.view(step.at) for step in plan.observations)
+        )
+
+    @classmethod
+    def read(cls, plan: Plan, observers: Sequence[Observer]) -> Detected | None:
+        """The detections of targets, by what their observers remember; None where agents have to be asked.
+
+        They have to where labels count, or a target has anything else than boxes that may be its own.
+        """
+        choices: dict[Observe, Choices] = {}
+        for step in plan.observations:
+            rule = step.rule
+            if rule is None or rule.floor is None or rule.label is not None:
+                return None
+            if any(step.agent not in observer.references or observer.faults for observer in observers):
+                return None
+            arrays = [
+                observer.references[step.agent].get(OWN_DETECTION, NO_CHOICES) for observer in observers
+            ]
+            arrays = [array if len(array) else NO_CHOICES for array in arrays]
+            if any(array.shape[1] != NO_CHOICES.shape[1] for array in arrays):
+                return None
+            counts, detections = [*map(len, arrays)], np.concatenate(arrays)
+            boxes, weights = detections[:, :4], detections[:, 5]
+            rows = np.repeat(np.arange(len(counts)), counts)
+            missed = np.maximum(1.0 - np.bincount(rows, weights, minlength=len(counts)), 0.0)
+            covariances = (rule.variances(boxes) * step.temperature)[:, :, None] * np.eye(len(BOX_FIELDS))
+            starts = np.cumsum([0, *counts])
+            choices[step] = Choices(BOX_FIELDS, starts, boxes, covariances, weights, missed)
+        return cls(plan, choices)
+
+    def evaluate(self, views: Sequence[Mapping[str, Hypotheses]], size: int) -> GroupEvidence:
+        """Evidence about `size` hypotheses of each target, which `views` has as cameras see them."""
+        # Imported here: a graph is validated without compiling anything.
+        from bayesnet_track.numerics.compiled import plain
+        from bayesnet_track.numerics.kernels.view_kernels import message_choices
+
+        choices, messages, present = dict[str, Choices](), dict[str, Floats](), dict[str, list[bool]]()
+        for step, detections in self.choices.items():
+            view, rule, agent = self.plan.view(step.at), step.rule, step.agent
+            assert view is not None and rule is not None and rule.floor is not None
+            variances = detections.covariances.diagonal(axis1=1, axis2=2)
+            messages[agent] = message_choices(
+                np.array([clouds[step.at].boxes for clouds in views]),
+                detections.starts,
+                (plain(detections.values), plain(variances)),
+                (plain(detections.weights), detections.missed),
+                rule.floor ** (1.0 / step.temperature),
+                FAR * FAR,
+            )
+            present[agent] = (detections.counts > 0).tolist()
+            cuts = cut_covariance(view.camera, detections.values)
+            quantities = view.box_quantities(agent, step.errors)
+            choices[agent] = evolve(detections, covariances=cuts, quantities=quantities)
+        agents, nothing = (*messages,), np.zeros((len(views), size))
+        for fusion in self.plan.fusions:
+            messages[fusion.node] = sum((messages[child] for child in fusion.children), nothing)
+            pairs = zip(*(present[child] for child in fusion.children), strict=True)
+            present[fusion.node] = [*map(any, pairs)]
+        total, is_seen = messages.pop(self.plan.root), present.pop(self.plan.root)
+        evidence = [
+            Evidence(
+                total[t],
+                {name: log[t] for name, log in messages.items() if name in agents or present[name][t]},
+                views[t],
+                measured={agent: None for agent in agents if not present[agent][t]},
+                sampled=nothing[t] if is_seen[t] else None,
+            )
+            for t in range(len(views))
+        ]
+        return GroupEvidence(evidence, choices)

@@ -14,6 +14,7 @@ from bayesnet_track.belief.contract import (
     LEAST_SIDE_PX,
     Evaluate,
     Evidence,
+    GroupEvidence,
     MotionModel,
     Predicted,
     Report,
@@ -208,7 +209,7 @@ def draw_boxes(mean: Floats, lower: Floats, size: int, rng: np.random.Generator)
     return np.asarray(boxes)
 
 
-EvaluateEach = Callable[[Sequence[Hypotheses], Sequence[Floats]], list[Evidence]]
+EvaluateEach = Callable[[Sequence[Hypotheses], Sequence[Floats]], GroupEvidence]
 """`belief.contract.Evaluate` of several targets: the hypotheses and prior log-weights of each."""
 
 
@@ -241,8 +242,8 @@ class GaussianFilter:
     ) -> Step[GaussianPosterior]:
         """The belief after `dt` frame intervals and the evidence of a frame."""
 
-        def evaluate_each(hypotheses: Sequence[Hypotheses], log: Sequence[Floats]) -> list[Evidence]:
-            return [evaluate(hypotheses[0], log[0])]
+        def evaluate_each(hypotheses: Sequence[Hypotheses], log: Sequence[Floats]) -> GroupEvidence:
+            return GroupEvidence([evaluate(hypotheses[0], log[0])])
 
         return self.step_each([prior], motion, dt, evaluate_each, [stream])[0]
 
@@ -266,7 +267,8 @@ class GaussianFilter:
         # Evaluate
         point_sets = stand_for_each(predictions, motion, settings, (stream("samples") for stream in streams))
         hypotheses = [hypotheses_of(points.states, motion.fields) for points in point_sets]
-        evidence = evaluate_each(hypotheses, [points.beta.log for points in point_sets])
+        together = evaluate_each(hypotheses, [points.beta.log for points in point_sets])
+        evidence = together.by_target
 
         # Update
         weighed = [self._weigh(*row, motion) for row in zip(predictions, point_sets, evidence, strict=True)]
@@ -275,7 +277,8 @@ class GaussianFilter:
             {} if isinstance(log, str) else evidence_of_target.gaussians
             for evidence_of_target, (_, _, log) in zip(evidence, weighed, strict=True)
         ]
-        updates = take_each(moments, motion.fields, measured, settings.gate, settings.filter == "unscented")
+        is_unscented, choices = settings.filter == "unscented", together.choices
+        updates = take_each(moments, motion.fields, measured, settings.gate, is_unscented, choices)
         return [
             self._stepped(motion, likelihood[2], start, points, evidence_of_target, end)
             for likelihood, start, points, evidence_of_target, end in zip(

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
-from bayesnet_track.belief.contract import LEAST_SIDE_PX, MotionModel
+from bayesnet_track.belief.contract import LEAST_SIDE_PX, Choices, MotionModel
 from bayesnet_track.belief.gaussian.update import (
     LEAST,
     Gated,
@@ -188,7 +189,8 @@ def take(
     for measurement in accepted.values():
         if measurement.choices:
             means, covariances = mean[None].copy(), covariance[None].copy()
-            log_evidence += float(mix_choices((means, covariances), fields, [measurement], is_unscented)[0])
+            choices = choices_of([measurement])
+            log_evidence += float(mix_choices((means, covariances), fields, choices, is_unscented)[0])
             mean, covariance = means[0], covariances[0]
             continue
         update = update_by(mean, covariance, fields, measurement, is_unscented)
@@ -269,10 +271,29 @@ def _finite(values: Floats, spread: Floats, cross: Floats, at_mean: Floats) -> E
     return Expectation(values, symmetric(spread), cross, is_known, at_mean)
 
 
-def mix_choices(
-    moments: Moments, fields: tuple[str, ...], measured: Sequence[Measurement], is_unscented: bool
-) -> Floats:
-    """Update Gaussians (T, D), (T, D, D) by a measurement with choices each, in place; (T,) log evidence.
+def choices_of(measured: Sequence[Measurement]) -> Choices:
+    """The choices of a measurement of each target, of the same quantities."""
+    choices = [choice for message in measured for _, choice in message.choices]
+    quantities, starts = choices[0].seen, np.cumsum([0, *(len(message.choices) for message in measured)])
+    covariances = np.array([choice.covariance for choice in choices])
+    if quantities is not None and quantities.covariance is not None:
+        covariances = np.zeros_like(covariances)
+        for place, choice in enumerate(choices):
+            if choice.seen is not None and choice.seen.extra_covariance is not None:
+                covariances[place] = choice.seen.extra_covariance
+    return Choices(
+        choices[0].fields,
+        starts,
+        np.array([choice.mean for choice in choices]),
+        covariances,
+        np.array([weight for message in measured for weight, _ in message.choices]),
+        np.array([message.missed for message in measured]),
+        quantities,
+    )
+
+
+def mix_choices(moments: Moments, fields: tuple[str, ...], choices: Choices, is_unscented: bool) -> Floats:
+    """Update Gaussians (T, D), (T, D, D) by the choices of each, in place; (T,) log evidence.
 
     Their moments are those of the mixture of the updates by each choice, and by none. Where functions of the
     state have no value at the mean nothing is used.
@@ -281,30 +302,22 @@ def mix_choices(
     from bayesnet_track.numerics.kernels.view_kernels import mix_expected
 
     mean, covariance = moments
-    choices = [choice for message in measured for _, choice in message.choices]
-    counts = [len(message.choices) for message in measured]
-    rows, quantities = np.repeat(np.arange(len(measured)), counts), choices[0].seen
+    rows, quantities = np.repeat(np.arange(len(mean)), choices.counts), choices.quantities
     considered: tuple[int, ...] = ()
-    values = np.array([choice.mean for choice in choices])
+    noises = choices.covariances
     if quantities is None:
-        columns = [*measured_columns(choices[0].fields, fields)]
+        columns = [*measured_columns(choices.fields, fields)]
         at_mean, cross = mean[:, columns], covariance[:, :, columns]
         expected = Expectation(at_mean, cross[:, columns], cross, np.ones(len(mean), dtype=np.bool_), at_mean)
-        innovations = values - at_mean[rows]
+        innovations = choices.values - at_mean[rows]
     else:
         expected = expect_seen(quantities, fields, moments, is_unscented)
-        innovations = quantities.less(values, expected.values[rows])
+        innovations = quantities.less(choices.values, expected.values[rows])
         considered = measured_columns(quantities.shared, fields)
-    if quantities is None or quantities.covariance is None:
-        noises = np.array([choice.covariance for choice in choices])
-    else:
-        noises = quantities.covariance(expected.at_mean)[rows]
-        for place, choice in enumerate(choices):
-            if choice.seen is not None and choice.seen.extra_covariance is not None:
-                noises[place] += choice.seen.extra_covariance
-    weights = np.array([weight for message in measured for weight, _ in message.choices])
-    missed, starts = np.array([message.missed for message in measured]), np.cumsum([0, *counts])
-    return mix_expected(moments, expected, (innovations, noises), (starts, weights, missed), considered)
+        if quantities.covariance is not None:
+            noises = quantities.covariance(expected.at_mean)[rows] + noises
+    weighed = (choices.starts, choices.weights, choices.missed)
+    return mix_expected(moments, expected, (innovations, noises), weighed, considered)
 
 
 def take_each(
@@ -313,8 +326,22 @@ def take_each(
     measured: Sequence[Mapping[str, Measurement]],
     gate: float,
     is_unscented: bool = False,
+    choices: Mapping[str, Choices] = MappingProxyType({}),
 ) -> list[MeasurementUpdate]:
-    """Kalman updates of each Gaussian by what its agents measured (`update.take`)."""
+    """Kalman updates of each Gaussian by what its agents measured (`update.take`).
+
+    Where `choices` has the detections of all agents nothing else was measured.
+    """
+    if choices:
+        mean, covariance = (np.array(arrays) for arrays in zip(*moments, strict=True))
+        logs = sum(
+            mix_choices((mean, covariance), fields, detections, is_unscented)
+            for detections in choices.values()
+        )
+        return [
+            MeasurementUpdate(mean[row], covariance[row], log, {}, ())
+            for row, log in enumerate(np.asarray(logs).tolist())
+        ]
     groups: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     updates: dict[int, MeasurementUpdate] = {}
     mixed = _rows_of_choices(measured)
@@ -367,7 +394,7 @@ def _mix_each(
         group = [measured[row][agent] for row in rows]
         some = [places[row] for row in rows]
         group_mean, group_covariance = mean[some], covariance[some]
-        logs[some] += mix_choices((group_mean, group_covariance), fields, group, is_unscented)
+        logs[some] += mix_choices((group_mean, group_covariance), fields, choices_of(group), is_unscented)
         mean[some], covariance[some] = group_mean, group_covariance
     return {
         row: MeasurementUpdate(mean[place], covariance[place], float(logs[place]), measured[row], ())

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
 from bayesnet_track.numerics.compiled import compiled, plain
-from bayesnet_track.numerics.gaussian import Expectation, factor
+from bayesnet_track.numerics.gaussian import Expectation, factor, independent_log
 
 
 @compiled
@@ -161,3 +161,37 @@ def mix_expected(
     return mix_seen_rows(
         (mean, covariance), values, starts, (plain(measured[0]), plain(measured[1])), shares, is_considered
     )
+
+
+@compiled
+def message_choices(
+    hypotheses: Floats,
+    starts: Ints,
+    measured: tuple[Floats, Floats],
+    shares: tuple[Floats, Floats],
+    floor: float,
+    largest: float,
+) -> Floats:
+    """(T, N) log-likelihoods of hypotheses (T, N, K) of rows under the choices of each, at most 0.
+
+    Row t has choices from `starts[t]` to `starts[t + 1]`. `measured` (P, K) values and variances of their
+    errors, which are independent; `shares` as of `mix_seen_rows`. The likelihood of a choice is mixed with a
+    `floor`; squares of errors in sds are at most `largest`.
+    """
+    (values, variances), (weights, missed), (count, size, width) = measured, shares, hypotheses.shape
+    logs, errors, log = np.zeros((count, size)), np.empty((size, width)), np.empty(size)
+    for t in range(count):
+        if starts[t] == starts[t + 1]:
+            continue
+        for n in range(size):
+            logs[t, n] = missed[t]
+        for p in range(starts[t], starts[t + 1]):
+            for n in range(size):
+                for k in range(width):
+                    errors[n, k] = hypotheses[t, n, k] - values[p, k]
+            independent_log(errors, variances[p], largest, log)
+            for n in range(size):
+                logs[t, n] += weights[p] * min(floor + (1.0 - floor) * math.exp(log[n]), 1.0)
+        for n in range(size):
+            logs[t, n] = min(math.log(logs[t, n]), 0.0) if logs[t, n] > 0.0 else -math.inf
+    return logs
