@@ -6,9 +6,10 @@
 
 Every tracker makes one pass over all frames (or the first of them) from the first true box; every sequence
 weighs the same. The strata are those of `sequences.STRATA`; of the halves A and B one is for choosing, and
-the other for reporting. Printed are, of each stratum, mean AUC, what the score and the status are worth, and
-differences with 95 % intervals of a paired bootstrap over sequences; then every sequence. Every call adds a
-line to the file of looks.
+the other for reporting. Printed are, of each stratum, mean AUC, what the score and the status are worth, how
+often regions hold the true centre (mean and quartiles over sequences), and differences with 95 % intervals of
+a paired bootstrap over sequences; then every sequence. Every call adds a line to the file of looks. With
+`--passes` a pass is written as soon as it is made.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +91,27 @@ def auroc(passes: Sequence[Pass]) -> float:
     return float(np.sum(of_high * (less + 0.5 * same)) / of_high.sum() / of_low.sum())
 
 
+BINS = 10
+"""Of the score, for its expected calibration error."""
+
+
+def calibration_error(passes: Sequence[Pass]) -> float:
+    """Expected calibration error: mean over frames of |mean score - share on target| of the score's bin.
+
+    Every sequence has the same weight.
+    """
+    sums = np.zeros((BINS, 2))
+    names = {one.sequence for one in passes}
+    for name in names:
+        frames = [one.frames for one in passes if one.sequence == name]
+        score = np.concatenate([np.array(one.score) for one in frames])
+        good = np.concatenate([np.array(one.iou) for one in frames]) > GOOD
+        own = np.minimum((score * BINS).astype(np.int64), BINS - 1)
+        for column, value in enumerate((score, good)):
+            sums[:, column] += np.bincount(own, value, BINS) / len(score) / len(names)
+    return float(np.abs(sums[:, 0] - sums[:, 1]).sum())
+
+
 def mean_of(passes: Sequence[Pass], value: Callable[[Pass], float]) -> float:
     """Mean over sequences of the mean over seeds."""
     names = sorted({one.sequence for one in passes})
@@ -137,6 +161,41 @@ def row_of(name: str, own: Sequence[Pass]) -> list[str]:
     return [*row, f"{len(cpu) / cpu.sum():.0f}", f"{1000 * np.median(cpu):.1f} / {1000 * cpu.max():.0f}"]
 
 
+CALIBRATION_HEAD = [
+    "",
+    "AUROC",
+    "doubt while good",
+    "tracking at IoU 0",
+    "below .1",
+    "up to .5",
+    "ECE",
+    "in 50 %, quartiles",
+    "in 90 %, quartiles",
+]
+
+
+def calibration_row(name: str, own: Sequence[Pass]) -> list[str]:
+    """What score, status and regions of one tracker are worth over the sequences of a stratum."""
+    row = [
+        name,
+        f"{auroc(own):.3f}",
+        f"{share(own, lambda _, s: s != 'tracking', lambda iou: iou > GOOD):.3f}",
+        f"{share(own, lambda iou, s: s == 'tracking' and iou == 0, lambda _: True):.4f}",
+        f"{share(own, lambda iou, s: s == 'tracking' and iou < POOR, lambda _: True):.4f}",
+        f"{share(own, lambda iou, s: s == 'tracking' and iou <= GOOD, lambda _: True):.3f}",
+    ]
+    if not own[0].graph:
+        return [*row, "-", "-", "-"]
+    row.append(f"{calibration_error(own):.3f}")
+    for inside in (lambda one: one.in50, lambda one: one.in90):
+        of = [
+            mean_of([one for one in own if one.sequence == n], inside) for n in {one.sequence for one in own}
+        ]
+        low, high = np.percentile(of, [25, 75])
+        row.append(f"{np.mean(of):.2f}, {low:.2f} to {high:.2f}")
+    return row
+
+
 def report(passes: Sequence[Pass], strata: Mapping[str, Sequence[str]]) -> Iterator[str]:
     """The tables."""
     means = means_of(passes)
@@ -150,6 +209,8 @@ def report(passes: Sequence[Pass], strata: Mapping[str, Sequence[str]]) -> Itera
         own = [one for one in passes if one.sequence in names]
         rows = [row_of(one, [p for p in own if p.tracker == one]) for one in trackers]
         yield f"{stratum}: {len(names)} sequences\n\n" + table(HEAD, rows)
+        rows = [calibration_row(one, [p for p in own if p.tracker == one]) for one in trackers]
+        yield table(CALIBRATION_HEAD, rows)
     pairs = [(first, second) for k, first in enumerate(trackers) for second in trackers[k + 1 :]]
     rows = [
         [
@@ -200,15 +261,18 @@ def main() -> None:
     shown = ", ".join(f"{name} {digest(spec)}" for name, spec in specs)
     look = {"half": options.strata, "graphs": shown, "seeds": str(seeds), "frames": options.max_frames}
     note(options.looks, **look, why=options.why)
-    passes = list(run_all(specs, sequences, seeds, options.processes))
-    if options.peers_python:
-        with Elsewhere(options.peers_python, options.models) as elsewhere:
-            for name in options.peers.split(","):
-                if name in elsewhere.trackers:
-                    passes += [elsewhere.run(name, one) for one in sequences]
-    if options.passes:
-        with options.passes.open("a", encoding="utf-8") as file:
-            file.writelines(json.dumps(asdict(one)) + "\n" for one in passes)
+    passes = []
+    with ExitStack() as stack:
+        made = run_all(specs, sequences, seeds, options.processes)
+        if options.peers_python:
+            elsewhere = stack.enter_context(Elsewhere(options.peers_python, options.models))
+            peers = [name for name in options.peers.split(",") if name in elsewhere.trackers]
+            made = chain(made, (elsewhere.run(name, one) for name in peers for one in sequences))
+        for one in made:
+            passes.append(one)
+            if options.passes:
+                with options.passes.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(asdict(one)) + "\n")
     print(environment(), file=sys.stderr)
     print("\n\n".join(report(passes, strata)))
 

@@ -66,6 +66,15 @@ def test_auroc_weighs_sequences_alike(benchmark):
     ) == pytest.approx(0.25)
 
 
+def test_calibration_error_weighs_sequences_alike(benchmark):
+    """Of the bin at .9 (weights 1/4 of a, 1/2 of b) 1/4 of 3/4 is good; that at .2 (1/4) is good alone."""
+    passes = [
+        _made(benchmark, "a", [0.8, 0.8], [0.9, 0.2]),
+        _made(benchmark, "b", [0.1], [0.9]),
+    ]
+    assert benchmark.tables.calibration_error(passes) == pytest.approx((0.675 - 0.25) + (0.25 - 0.05))
+
+
 def test_the_tables_give_each_stratum_and_the_differences_in_it(benchmark):
     aucs = {"a": (0.9, 0.2), "b": (0.5, 0.4), "c": (0.5, 0.6)}
     passes = [
@@ -74,7 +83,8 @@ def test_the_tables_give_each_stratum_and_the_differences_in_it(benchmark):
         for tracker, auc in zip(("one", "two"), of_each, strict=True)
     ]
     strata = {"first": ("a", "b"), "second": ("c",), "empty": ("d",)}
-    first, second, differences, each = benchmark.tables.report(passes, strata)
+    first, of_first, second, _, differences, each = benchmark.tables.report(passes, strata)
+    assert "| one | 1.000 | 0.000 | 0.0000 | 0.0000 | 0.000 | 0.100 | 0.50, 0.50 to 0.50 | 0.90" in of_first
     assert first.startswith("first: 2 sequences\n") and "| one | 0.700 |" in first
     assert second.startswith("second: 1 sequences\n") and "| two | 0.600 |" in second
     assert "+0.400 [+0.100, +0.700], ahead on 2 of 2" in differences
