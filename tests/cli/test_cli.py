@@ -282,6 +282,8 @@ def test_run_on_a_folder_of_images(cli, images, tmp_path):
     )
     assert [len(lines_of(out / name)) for name in ("tracks.txt", "timings.jsonl")] == [8] * 2
     assert len(open_run(out).metrics) == 8
+    fixed = "the graph has no rule that switches agents of target: all of them look in every frame"
+    assert fixed in cli("log", out)[2] and fixed not in cli(f"log {out} --kind net_started")[2]
     assert [float(v) for v in lines_of(out / "tracks.txt")[0].split(",")[:6]] == [1, 1, 20, 14, 16, 12]
     # It moves by two pixels a frame; a tracker that stands still would be 14 px off in the last.
     assert abs(float(column(out, "x")[-1]) - 34) < 5

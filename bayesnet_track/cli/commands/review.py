@@ -29,6 +29,7 @@ from bayesnet_track.sources.entrances.notices import notice
 if TYPE_CHECKING:
     from bayesnet_track.evaluate.mot import MotScore
     from bayesnet_track.evaluate.truth import Tracks
+    from bayesnet_track.graph.spec import Target
     from bayesnet_track.journal.events.event import Event
     from bayesnet_track.journal.metrics import FrameMetrics
     from bayesnet_track.runtime.checkpoints.standing import Verified
@@ -83,6 +84,11 @@ def _log(options: argparse.Namespace) -> int:
         lines = narrate_all(selected, kinds, name_target)
     for line in lines:
         say(by_status(_shorten(line) if options.short else line, sys.stdout))
+    if not filtered_by and (fixed := _fixed_targets(directory)):
+        complain(
+            f"the graph has no rule that switches agents of {', '.join(fixed)}: all of them look in every "
+            "frame; `bayesnet-track init` writes a graph that switches its agents"
+        )
     return OK
 
 
@@ -136,19 +142,37 @@ def chosen_events(events: Sequence[Event], options: argparse.Namespace) -> list[
     return [event for event in events if keep.keeps(event)]
 
 
-def _coefficients(directory: RunDirectory) -> dict[str, Mapping[str, float]]:
-    """Type of target -> feature of its score -> coefficient, and `bias`; empty without a graph to read."""
-    from bayesnet_track.graph.spec import InferenceNode
+def _targets(directory: RunDirectory) -> Mapping[str, Target]:
+    """Types of targets of the run's graph; none where it cannot be read: a run is explained without, too."""
     from bayesnet_track.graph.text.load import read_graph
     from bayesnet_track.graph.text.messages import GraphError
 
     try:
-        targets = read_graph(directory.graph)[0].targets
+        return read_graph(directory.graph)[0].targets
     except GraphError:
-        return {}  # the frame can be explained without
+        return {}
+
+
+def _fixed_targets(directory: RunDirectory) -> list[str]:
+    """Types of targets with several agents, none of which a rule ever switches."""
+    from bayesnet_track.graph.spec import AgentNode, InferenceNode
+
+    fixed = []
+    for name, target in _targets(directory).items():
+        agents = [node for node in target.nodes.values() if isinstance(node, AgentNode)]
+        has_rules = any(isinstance(node, InferenceNode) and node.adapt for node in target.nodes.values())
+        if len(agents) > 1 and not has_rules and not any(agent.adapts for agent in agents):
+            fixed.append(name)
+    return fixed
+
+
+def _coefficients(directory: RunDirectory) -> dict[str, Mapping[str, float]]:
+    """Type of target -> feature of its score -> coefficient, and `bias`."""
+    from bayesnet_track.graph.spec import InferenceNode
+
     return {
         name: {"bias": node.score.settings.bias, **node.score.settings.coefficients}
-        for name, target in targets.items()
+        for name, target in _targets(directory).items()
         for node in target.nodes.values()
         if isinstance(node, InferenceNode) and node.score is not None
     }
