@@ -92,7 +92,8 @@ def digest(spec: GraphSpec) -> str:
 def run_graph(name: str, spec: GraphSpec, sequence: Sequence, seed: int) -> Pass:
     """One pass of the engine, frame by frame."""
     tracker = Tracker(spec, seed, copy_frames=False)  # as OpenCV's, which copy none either
-    start = tuple(float(value) for value in sequence.truth[0])
+    x, y, w, h = (float(value) for value in sequence.truth[0])
+    start = (x, y, w, h)
     held, every, frames = [start], [start], Frames([], [], [], [])
     regions: tuple[list[tuple[float, ...]], list[tuple[float, ...]]] = ([(0.0,) * 4], [(0.0,) * 4])
     switched, asked = 0, 0
