@@ -23,9 +23,7 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.existing import MarginalAssociation
-from bayesnet_track.engine.lifecycle.sensing import Found, Sensor
-from bayesnet_track.engine.lifecycle.viewing import PointingShift, ViewSensor
+from bayesnet_track.engine.lifecycle.sensing import Found, PointingShift
 from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.checked import CLOCK
@@ -183,8 +181,8 @@ class Watched:
         updated, looking = dict(watches), []
         for agent, detections in looks.items():
             sensor = compiled.sensors[agent]
-            if isinstance(sensor, ViewSensor) and (bias_px := sensor.bias_sd) > 0.0:
-                camera = sensor.view.seen_by
+            if (bias_px := sensor.bias_sd) > 0.0:
+                camera = sensor.camera
                 looking.append(camera)
                 watch = updated.get(camera, Watch(bias_px))
                 updated[camera] = watch.see(names, sensor.boxes(means), detections.values)
@@ -208,24 +206,6 @@ class Watched:
             )
         news = tuple(name for name in looking if updated[name].variance != previous[name].variance)
         return cls(updated, _shifts(compiled, updated), news, events)
-
-    def aim(self, sensor: Sensor, clocks: PlateClocks | None) -> Sensor:
-        """The sensor of a camera with what is known of the clocks, and of where it points."""
-        if not isinstance(sensor, ViewSensor) or (clocks is None and not self.shifts):
-            return sensor
-        return evolve(sensor, clocks=clocks, shift=self.shifts.get(sensor.view.seen_by))
-
-    @staticmethod
-    def check(
-        sensor: Sensor,
-        moments: tuple[Floats, Floats],
-        detections: Found,
-        association: MarginalAssociation,
-    ) -> dict[str, dict[str, float]]:
-        """Camera -> how far its detections are from where targets were expected; nothing of other sensors."""
-        if not isinstance(sensor, ViewSensor) or not len(moments[0]):
-            return {}
-        return {sensor.view.seen_by: sensor.check(*moments, detections, association.mixed)}
 
     def move_target(self, target: TargetState) -> TargetState:
         """A target with what is new."""
@@ -267,20 +247,11 @@ def _shifts(compiled: CompiledPlate, watches: Mapping[str, Watch]) -> dict[str, 
     """Camera that was knocked -> by how much it is off."""
     shifts = {}
     for sensor in compiled.sensors.values():
-        if not isinstance(sensor, ViewSensor):
-            continue
-        watch = watches.get(sensor.view.seen_by)
-        if watch is None or watch.variance == 0.0:
-            continue
-        columns = _columns(compiled, sensor)
-        shifts[sensor.view.seen_by] = PointingShift(columns, watch.shift, sensor.bias_sd**2 + watch.variance)
+        watch = watches.get(sensor.camera)
+        if watch is not None and watch.variance > 0.0:
+            variance = sensor.bias_sd**2 + watch.variance
+            shifts[sensor.camera] = PointingShift(sensor.bias_columns, watch.shift, variance)
     return shifts
-
-
-def _columns(compiled: CompiledPlate, sensor: ViewSensor) -> tuple[int, ...]:
-    """Columns of a state of the bias of a camera."""
-    fields = (error.field for error in sensor.view.lasting if sensor.is_bias(error))
-    return tuple(map(compiled.moments.fields.index, fields))
 
 
 def _judge(

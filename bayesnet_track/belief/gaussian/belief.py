@@ -271,7 +271,13 @@ class GaussianFilter:
         evidence = together.by_target
 
         # Update
-        weighed = [self._weigh(*row, motion) for row in zip(predictions, point_sets, evidence, strict=True)]
+        weighed: list[tuple[Floats, Floats, float | str]]
+        if together.choices:  # nothing was scored
+            weighed = [(*moments, 0.0) for moments in predictions]
+        else:
+            weighed = [
+                self._weigh(*row, motion) for row in zip(predictions, point_sets, evidence, strict=True)
+            ]
         moments = [(mean, covariance) for mean, covariance, _ in weighed]
         measured = [
             {} if isinstance(log, str) else evidence_of_target.gaussians

@@ -263,19 +263,20 @@ class Several:
         for row, mixture in mixtures.items():
             mean[row], covariance[row] = mixture.moments
         crowd = Crowd(mean, covariance, self._existence(), self.names, self._log_looks, mixtures)
-        nothing = UnconfirmedTracks.none(mean.shape[1])
-        detection_model = watched.move_tracks(history.detection_models.get(plate) or DetectionModel(nothing))
+        no_tracks = DetectionModel(UnconfirmedTracks.none(mean.shape[1]))
+        detection_model = watched.move_tracks(history.detection_models.get(plate) or no_tracks)
         seen_first = looks.get(first)
         crowd, detection_model = expect_crowd(rules[first], frames, crowd, detection_model, seen_first)
         clocks = plate_clocks(compiled, clocks_now(self.work, history))
         links = dict.fromkeys(rules, given_nothing(crowd, detection_model))
         for agent in [name for name in rules if name in looks]:
-            rule = evolve(rules[agent], sensor=watched.aim(rules[agent].sensor.at(frames), clocks))
+            rule = evolve(rules[agent], sensor=rules[agent].sensor.at(frames).aim(clocks, watched.shifts))
             sensor = None if agent == first else agent
             model = detection_model.by(sensor)
             links[agent] = associate_marginal(rule, frames.current, crowd, model, looks[agent])
             detection_model = detection_model.after(sensor, links[agent].detection_model)
-            self.work.cameras.update(watched.check(rule.sensor, crowd.moments, looks[agent], links[agent]))
+            if numbers := rule.sensor.check(*crowd.moments, looks[agent], links[agent].mixed):
+                self.work.cameras[rule.sensor.camera] = numbers
             crowd = evolve(crowd, existence=links[agent].existence)
             if agent != last_agent:
                 crowd = after_look(rule, crowd, looks[agent], links[agent])
@@ -285,9 +286,8 @@ class Several:
             history = self._record_refusals(history, (mean, covariance), (has_own, links[first].owner), boxes)
         if self.rows is not None:
             rows = self._given(mean, covariance, seen_first, links[first])
-        names = self.names
         owners = [
-            name_owners(links[agent].owner, names, len(detections.values))
+            name_owners(links[agent].owner, crowd.names, len(detections.values))
             for agent, detections in looks.items()
         ]
         by_agent = {agent: looks.get(agent) for agent in rules}

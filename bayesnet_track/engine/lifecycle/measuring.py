@@ -9,17 +9,27 @@ graph gives, else found by following h from a place where its value is known.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from bayesnet_track.adapt.cameras import PlateClocks
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.rows import expect_seen
 from bayesnet_track.belief.motion.formulas import linearise_seen
 from bayesnet_track.belief.motion.start_prior import start_moments_of_each
-from bayesnet_track.engine.lifecycle.sensing import LOG_TURN, Begun, BoxSensor, Found, Mixed, Sensor
+from bayesnet_track.engine.lifecycle.sensing import (
+    LOG_TURN,
+    Begun,
+    BoxSensor,
+    Found,
+    Mixed,
+    PointingShift,
+    Sensor,
+)
 from bayesnet_track.graph.checked import ANCHORED, CheckedTarget, Inverse, MeasuredAs
 from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.inference.factors import seen_by
@@ -75,6 +85,7 @@ class FunctionSensor:
         is_unscented: whether moments are by sigma points.
         has_extent: whether detections have a size.
         seen: h in the frames of `at`.
+        camera: none, as `bias_sd` and `bias_columns` are.
     """
 
     association: AssociationRule
@@ -88,6 +99,17 @@ class FunctionSensor:
     is_unscented: bool = False
     has_extent: bool = False
     seen: Seen | None = None
+    camera: str = ""
+    bias_sd: float = 0.0
+    bias_columns: tuple[int, ...] = ()
+
+    def aim(self, clocks: PlateClocks | None, shifts: Mapping[str, PointingShift]) -> Self:
+        """The same: it looks through no camera."""
+        return self
+
+    def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
+        """Nothing."""
+        return {}
 
     @property
     def log_scale(self) -> float:

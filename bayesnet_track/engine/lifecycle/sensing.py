@@ -9,7 +9,7 @@ nothing else of it. Boxes are here, quantities that are functions of the state i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import near_along_x
+from bayesnet_track.adapt.cameras import PlateClocks
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.start_prior import start_moments_of_each
@@ -62,6 +63,21 @@ class Found:
         """Some of them."""
         labels = tuple(np.array(self.labels, dtype=object)[selection]) if self.labels else ()
         return Found(self.values[selection], self.scores[selection], self.numbers[selection], labels)
+
+
+@dataclass(frozen=True, eq=False)
+class PointingShift:
+    """By how much a camera is off that was knocked.
+
+    Attributes:
+        columns: of the bias of the camera in a state.
+        mean: (2,) px.
+        variance: px^2 of each, that of the calibration included.
+    """
+
+    columns: tuple[int, ...]
+    mean: Floats
+    variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +137,24 @@ class Sensor(Protocol):
     def has_extent(self) -> bool:
         """True where detections have a size, which says how far a target may move."""
 
+    @property
+    def camera(self) -> str:
+        """The camera through which it sees targets on the ground; empty of other sensors."""
+
+    @property
+    def bias_sd(self) -> float:
+        """Sd of the error of the camera's calibration, px; 0 where that is exact, or there is none."""
+
+    @property
+    def bias_columns(self) -> tuple[int, ...]:
+        """The columns of a state that have that error."""
+
+    def aim(self, clocks: PlateClocks | None, shifts: Mapping[str, PointingShift]) -> Sensor:
+        """The sensor with what is known of clocks, and by how much cameras are off that were knocked."""
+
+    def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
+        """Innovations of detections of targets that were expected so, in sums; empty without a camera."""
+
     def at(self, frames: FramePair) -> Sensor:
         """The sensor in these frames."""
 
@@ -168,6 +202,17 @@ class BoxSensor:
     association: AssociationRule
     log_scale: float = -2.0 * LOG_TURN
     has_extent: bool = True
+    camera: str = ""
+    bias_sd: float = 0.0
+    bias_columns: tuple[int, ...] = ()
+
+    def aim(self, clocks: PlateClocks | None, shifts: Mapping[str, PointingShift]) -> Self:
+        """The same: it looks through no camera."""
+        return self
+
+    def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
+        """Nothing."""
+        return {}
 
     def at(self, frames: FramePair) -> BoxSensor:
         """The same in every frame."""

@@ -6,6 +6,7 @@ R), R that of a detection of the box h(m). A target that starts stands where its
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,7 +18,15 @@ from bayesnet_track.belief.contract import LEAST_SIDE_M, MotionModel
 from bayesnet_track.belief.gaussian.rows import expect_seen
 from bayesnet_track.belief.gaussian.update import measured_columns
 from bayesnet_track.engine.lifecycle.measuring import is_unscented
-from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
+from bayesnet_track.engine.lifecycle.sensing import (
+    COVERED,
+    LOG_TURN,
+    Begun,
+    Found,
+    Mixed,
+    PointingShift,
+    near_boxes,
+)
 from bayesnet_track.graph.checked import CheckedTarget, LastingError
 from bayesnet_track.inference.views import View, Views, cut_covariance, place
 from bayesnet_track.numerics.arrays import Floats
@@ -29,21 +38,6 @@ from bayesnet_track.observation.planes import FramePair
 
 WIDTH = 4
 """Quantities of a box."""
-
-
-@dataclass(frozen=True, eq=False)
-class PointingShift:
-    """By how much a camera is off that was knocked.
-
-    Attributes:
-        columns: of the bias of the camera in a state.
-        mean: (2,) px.
-        variance: px^2 of each, that of the calibration included.
-    """
-
-    columns: tuple[int, ...]
-    mean: Floats
-    variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +70,17 @@ class ViewSensor:
     def at(self, frames: FramePair) -> ViewSensor:
         """The same in every frame."""
         return self
+
+    @property
+    def camera(self) -> str:
+        """The camera through which it looks."""
+        return self.view.seen_by
+
+    def aim(self, clocks: PlateClocks | None, shifts: Mapping[str, PointingShift]) -> ViewSensor:
+        """With what is known of the clocks, and of where the camera points."""
+        if clocks is None and not shifts:
+            return self
+        return evolve(self, clocks=clocks, shift=shifts.get(self.camera))
 
     def boxes(self, mean: Floats, agent: str = "") -> Floats:
         """(T, 4) boxes in the image of states (T, D), as the camera shows and `agent` finds them."""
@@ -203,8 +208,10 @@ class ViewSensor:
         `targets`: number of those expected in the image; `detections`: sum of w. Of places (x, y) and sizes
         (w, h) each: `nis`, sum of w nu' S^-1 nu; `dof`, its degrees of freedom; `noise`, the part of them
         that R is of S. `x_px`, `y_px`: mean innovation, weighted by w S^-1, and `xx`, `xy`, `yy`: the
-        sums of these weights, px^-2.
+        sums of these weights, px^-2. Empty without targets.
         """
+        if not len(mean):
+            return {}
         camera, size = self.view.camera, self.view.camera.size
         expected = self.expect(mean, covariance)
         visible = expected.is_known.copy()
@@ -251,6 +258,11 @@ class ViewSensor:
     def bias_sd(self) -> float:
         """Sd of the error of the camera's calibration, px; 0 where that is exact."""
         return next((error.sd for error in self.view.lasting if self.is_bias(error)), 0.0)
+
+    @property
+    def bias_columns(self) -> tuple[int, ...]:
+        """The columns of a state that have it."""
+        return tuple(self.fields.index(error.field) for error in self.view.lasting if self.is_bias(error))
 
     def is_bias(self, error: LastingError) -> bool:
         """True of the error of the camera's calibration."""
