@@ -96,7 +96,7 @@ START_AGAIN = 0.87
 START_CLUTTER, START_NEAR, START_FRAMES = 1.0, 0.1, 5.0
 """What is assumed of false detections a frame before any, also on targets; for how many frames it counts."""
 
-START_LASTING, START_FALSE = (0.001, 0.01), 20.0
+START_LASTING, START_FALSE = (0.03, 0.2), 10.0
 """Shares of false detections of the background and on targets that begin a lasting one before any; for how
 many of them this counts."""
 

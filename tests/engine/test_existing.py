@@ -14,7 +14,7 @@ from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.lifecycle.sensing import gate_boxes as gate
 from bayesnet_track.engine.lifecycle.track_management import memory_of
 from bayesnet_track.engine.lifecycle.track_table import LiveTable
-from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule, confirmed, first_population
+from bayesnet_track.engine.lifecycle.unconfirmed import PRESENT, CrowdRule, confirmed, first_population
 from bayesnet_track.engine.rows import finding
 from bayesnet_track.engine.starts import start_targets
 from bayesnet_track.engine.targets import Targets
@@ -115,13 +115,13 @@ def test_an_end_names_every_rule_that_holds():
 
     alone, last = death(lost_frames=2), death(lost_frames=100)
     assert alone.describe().endswith("would have continued at lost_frames ≥ 3"), "it still exists"
-    assert last.reason == "existence" and last.describe().endswith("continued at existence.end ≤ 0.0117")
+    assert last.reason == "existence" and last.describe().endswith("continued at existence.end ≤ 0.0104")
     both = death(lost_frames=3)
     assert both.frame == last.frame and both.describe().startswith("lost for 3 frames")
-    assert both.describe().endswith("continued at lost_frames ≥ 4 and existence.end ≤ 0.0117")
+    assert both.describe().endswith("continued at lost_frames ≥ 4 and existence.end ≤ 0.0104")
     unseen = death(lost_frames=3, unseen_frames=5)
     assert unseen.frame == last.frame and unseen.reason == "lost"
-    assert "lost_frames ≥ 4 and unseen_frames ≥ 6 and existence.end ≤ 0.0117" in unseen.describe()
+    assert "lost_frames ≥ 4 and unseen_frames ≥ 6 and existence.end ≤ 0.0104" in unseen.describe()
 
 
 def test_births_statuses_and_ends_are_levels_of_existence(graph):
@@ -238,8 +238,8 @@ def test_false_detections_of_a_first_frame_leave_out_the_share_of_new_targets():
     done = outcomes(
         jpda(existence={"births": births}), {0: seen_at([[20, 40, 30, 60], [400, 40, 30, 60]])}, 1
     )
-    after = done[0].state.history.detection_models["target"]
-    false = 2 * (1 - births / (births + start.clutter))
+    after, if_false = done[0].state.history.detection_models["target"], start.after_look(2.0).clutter
+    false = 2 * (1 - births / (births + if_false))
     assert after.clutter == pytest.approx(start.clutter + (false - start.clutter) / after.frames)
 
 
@@ -318,8 +318,10 @@ def test_a_prospect_begins_with_the_share_of_new_targets_among_free_detections()
     rule = CrowdRule.of(compiled)
     boxes = np.array([[100.0, 100, 30, 60], [300, 200, 30, 60]])
     seventh = Frame(7, 7.0, np.zeros((480, 640, 3), np.uint8))
-    unconfirmed = first_population(rule, Found(boxes, np.ones(2), np.arange(2)), seventh).unconfirmed
-    np.testing.assert_allclose(unconfirmed.existence, 0.1 / (0.1 + 0.3))
+    model = first_population(rule, Found(boxes, np.ones(2), np.arange(2)), seventh)
+    unconfirmed = model.unconfirmed
+    np.testing.assert_allclose(model.begin(rule.existence, np.zeros(2), 1.0).target, 0.1 / (0.1 + 0.3))
+    np.testing.assert_allclose(unconfirmed.existence, PRESENT / (PRESENT + 1.0))  # who is there is not new
     np.testing.assert_array_equal(unconfirmed.mean[:, :4], boxes)
     assert unconfirmed.first.tolist() == [7, 7] and confirmed(rule, unconfirmed, "target", 7.0) == {}
 

@@ -41,6 +41,9 @@ FAST_SHARE = 0.1
 LASTING = 0.05
 """A lasting false alarm of so much probability is kept, so that its detections are no births."""
 
+PRESENT = 0.9
+"""Targets detected in a first frame for each false detection, up to one: they are there, and not new."""
+
 PROSPECTS = 4
 """Unconfirmed tracks that are kept, in multiples of `birth.max_targets`."""
 
@@ -86,8 +89,11 @@ def first_population(rule: CrowdRule, detections: Found, frame: Frame) -> Detect
     detection_model = rule.sensor.learn(
         DetectionModel(UnconfirmedTracks.none(len(rule.motion.fields))), detections
     )
-    free = np.ones(len(detections.values))
-    begins = detection_model.begin(rule.existence, np.zeros(len(free)), 1.0)
+    free, settings = np.ones(len(detections.values)), rule.existence
+    present = max(settings.births, PRESENT * min(detection_model.clutter_rate(settings), 1.0))
+    first_settings = settings.model_copy(update={"births": present})
+    if_all_false = detection_model.after_look(float(len(free)))
+    begins = if_all_false.begin(first_settings, np.zeros(len(free)), 1.0)
     detection_model = detection_model.after_look(float(free @ (1.0 - begins.target)))
     return evolve(detection_model, unconfirmed=begin_unconfirmed(rule, begins, detections, free, frame))
 
