@@ -180,12 +180,12 @@ def planes_of_each(
 
     start, frame = work.engine.clock(), work.frame
     corners = crops_of_each(boxes, starts, grow, frame.width, frame.height)
-    areas = np.clip(corners[:, 2:] - corners[:, :2], 0, None).prod(axis=1)
-    image, needs = Region(0, 0, frame.width, frame.height), tuple(needs)
-    if share and len(corners) > 1 and (len(corners) > MANY or 2 * areas.sum() > image.area):
-        crops = [work.cache.planes(needs, image)] * len(corners)
+    regions, needs = [Region(*corner) for corner in corners.tolist()], tuple(needs)
+    image, is_shared = Region(0, 0, frame.width, frame.height), share and len(regions) > 1
+    if is_shared and (len(regions) > MANY or 2 * sum(region.area for region in regions) > image.area):
+        crops = [work.cache.planes(needs, image)] * len(regions)
     else:
-        crops = [work.cache.planes(needs, Region(*corner)) for corner in corners.tolist()]
+        crops = [work.cache.planes(needs, region) for region in regions]
     work.charge("planes", start)
     return crops
 

@@ -133,7 +133,7 @@ def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2
     """
     agents, messages = steps.agents, steps.messages
     without = steps.prior[None] if is_alone(plan) else tilt(steps.prior, _without_each(plan, steps))
-    nats = divergences(np.broadcast_to(steps.log, (len(agents), *steps.log.shape)), without).T
+    nats = divergences(steps.log, without[: len(agents)]).T
     seeing = [messages[agent] for agent in agents if agent not in steps.silent]
     total = sum((message / len(seeing) for message in seeing), np.zeros_like(steps.prior)).max(axis=1)
     fits = np.exp(np.minimum(total, 0.0)) if seeing else np.zeros(len(areas_px2))

@@ -196,7 +196,7 @@ def divergences(f: Floats, g: Floats) -> Floats:
         f: (N,) or (M, N).
         g: (M, N), or (N,) for all rows of f.
 
-    Of T targets, (M, T, N) gives (M, T).
+    Of T targets, (M, T, N) gives (M, T); f may be (T, N).
     """
     shared = np.exp(f)
     if shared.all():

@@ -65,6 +65,8 @@ class ReferenceRows(Sequence[Reference]):
                 kind is None or _kind(reference[name]) != kind for name, kind in kinds.items()
             ):
                 return references
+        if len(references) == 1:
+            return ReferenceRows({name: _row(values) for name, values in first.items()})
         return ReferenceRows(
             {name: np.array([reference[name] for reference in references]) for name in first}
         )
@@ -131,6 +133,13 @@ class ReferenceRows(Sequence[Reference]):
 def _kind(values: Any) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
     """Shape and type of an array; None of anything else, which a row would change."""
     return (values.shape, values.dtype) if type(values) is np.ndarray and values.dtype != object else None
+
+
+def _row(values: NDArray[Any]) -> NDArray[Any]:
+    """An array as the only row; a part of a larger one is copied, which would be kept with it."""
+    owner = values.base
+    is_all = owner is None or (isinstance(owner, np.ndarray) and owner.nbytes == values.nbytes)
+    return values[None] if is_all and values.flags.c_contiguous else np.array([values])
 
 
 def column(references: Sequence[Reference], name: str, missing: float | None = None) -> NDArray[Any]:

@@ -40,3 +40,11 @@ def test_rows_are_taken_replaced_and_extended():
     unlike = ReferenceRows.of([reference(0.3, 5)])
     assert rows.replaced(np.array([0]), unlike) is None and rows.extended(unlike) is None
     assert rows.extended([reference(0.3)]) is None
+
+
+def test_a_row_of_one_target_holds_no_larger_array():
+    plane = np.arange(100.0).reshape(10, 10)
+    rows = ReferenceRows.of([{"crop": plane[2:4], "whole": plane}])
+    assert rows.columns["crop"].base is None
+    assert np.shares_memory(rows.columns["whole"], plane)
+    np.testing.assert_array_equal(rows[0]["crop"], plane[2:4])
