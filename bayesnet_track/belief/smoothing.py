@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior, cross_covariance, predict
+from bayesnet_track.belief.gaussian.modal import ModalPosterior, mix, mixture_moments, modal_in, motions_of
 from bayesnet_track.belief.motion.jumps import jumping_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.graph import spec
@@ -141,14 +142,23 @@ def most_probable_trajectory(
     return np.array(states[::-1])
 
 
+Gaussians = GaussianPosterior | ModalPosterior
+
+
 def smooth_gaussians(
-    filtered: Sequence[GaussianPosterior], moves: Sequence[Move], settings: spec.Gaussian
-) -> list[GaussianPosterior]:
+    filtered: Sequence[Gaussians], moves: Sequence[Move], settings: spec.Gaussian
+) -> list[Gaussians]:
     """The Gaussians of every frame given the whole sequence (Rauch, Tung and Striebel 1965).
 
     With the filtered m, P, the prediction m-, P- from them, and C = cov(x_t, x_{t+1}): G = C P-^-1,
     m_s = m + G (m_s' - m-), P_s = P + G (P_s' - P-) G'. Exact for `kalman`; for `extended` with the Jacobian
     at m, for `unscented` with C of the sigma points. Nothing is learnt across a jump: the belief began anew.
+
+    In modes it is done for each pair of them. What later frames say of mode j and its state is the ratio
+    of the smoothed to the predicted Gaussian of j. It weighs p(x_t+1 | i, j), the prediction of mode i's
+    Gaussian by the motion of j, and a pair has the weight mu_i P_ij times the integral of that product. The
+    pairs of each i are matched by moments: the only approximation, as in the filter, where the motion is
+    linear. Over the last step, and for categories, which never follow each other, nothing is approximate.
 
     Args:
         filtered: T beliefs, in order.
@@ -156,22 +166,128 @@ def smooth_gaussians(
         settings: of the filter.
 
     Raises:
-        ValueError: `moves` are not one fewer than `filtered`.
+        ValueError: `moves` are not one fewer than `filtered`, or some beliefs are in modes and some not.
     """
     if len(moves) != len(filtered) - 1:
         raise ValueError(f"{len(filtered)} beliefs need {len(filtered) - 1} moves, not {len(moves)}")
-    smoothed = [filtered[-1]]
+    smoothed: list[Gaussians] = [filtered[-1]]
     for belief, move in zip(reversed(filtered[:-1]), reversed(moves), strict=True):
+        following = smoothed[-1]
         if jumping_of(move.motion) is not None:
             smoothed.append(belief)
-            continue
-        following = smoothed[-1]
-        mean, covariance = predict(belief.mean, belief.covariance, move.motion, move.dt, settings)
-        gain = cross_covariance(belief, move.motion, move.dt, settings) @ np.linalg.pinv(
-            covariance, rcond=1e-12, hermitian=True
-        )
-        smoothed_mean = belief.mean + gain @ (following.mean - mean)
-        smoothed_mean[2:4] = np.maximum(smoothed_mean[2:4], 1.0)
-        spread = symmetric(belief.covariance + gain @ (following.covariance - covariance) @ gain.T)
-        smoothed.append(replace(belief, mean=smoothed_mean, covariance=spread))
+        elif isinstance(belief, ModalPosterior) and isinstance(following, ModalPosterior):
+            smoothed.append(_back_in_modes(belief, following, move, settings))
+        elif isinstance(belief, GaussianPosterior) and isinstance(following, GaussianPosterior):
+            smoothed.append(_back(belief, following, move, settings))
+        else:
+            raise ValueError("beliefs in modes and beliefs without")
     return smoothed[::-1]
+
+
+def _back(
+    belief: GaussianPosterior, following: GaussianPosterior, move: Move, settings: spec.Gaussian
+) -> GaussianPosterior:
+    """One step of `smooth_gaussians`."""
+    mean, covariance = predict(belief.mean, belief.covariance, move.motion, move.dt, settings)
+    gain = cross_covariance(belief, move.motion, move.dt, settings) @ np.linalg.pinv(
+        covariance, rcond=1e-12, hermitian=True
+    )
+    smoothed_mean = belief.mean + gain @ (following.mean - mean)
+    smoothed_mean[2:4] = np.maximum(smoothed_mean[2:4], 1.0)
+    spread = symmetric(belief.covariance + gain @ (following.covariance - covariance) @ gain.T)
+    return replace(belief, mean=smoothed_mean, covariance=spread)
+
+
+def _back_in_modes(
+    belief: ModalPosterior, following: ModalPosterior, move: Move, settings: spec.Gaussian
+) -> ModalPosterior:
+    """One step of `smooth_gaussians` in modes."""
+    motions = motions_of(move.motion)
+    chain = modal_in(move.motion).modes.chain.over(move.dt)
+    joint = chain * belief.mode_probabilities[:, None]
+    size, width = len(motions), len(belief.mean)
+    log, means = np.full((size, size), -np.inf), np.zeros((size, size, width))
+    covariances = np.zeros((size, size, width, width))
+    mixed = mix(belief, chain)
+    for successor, motion in enumerate(motions):
+        if following.mode_probabilities[successor] <= 0.0 or mixed.mode_probabilities[successor] <= 0.0:
+            continue
+        prior = mixed.parts[successor]
+        mean, covariance = predict(prior.mean, prior.covariance, motion, move.dt, settings)
+        message = _future_of(mean, covariance, following.parts[successor])
+        log_ratio = np.log(following.mode_probabilities[successor] / mixed.mode_probabilities[successor])
+        for mode in np.flatnonzero(joint[:, successor] > 0.0).tolist():
+            part = belief.parts[mode]
+            predicted = predict(part.mean, part.covariance, motion, move.dt, settings)
+            future_mean, future_covariance, log_mass = message.weigh(*predicted)
+            target = replace(part, mean=future_mean, covariance=future_covariance)
+            pair = _back(part, target, Move(motion, move.dt), settings)
+            means[mode, successor], covariances[mode, successor] = pair.mean, pair.covariance
+            log[mode, successor] = np.log(joint[mode, successor]) + log_ratio + log_mass
+    top = log.max()
+    if not np.isfinite(top):
+        return belief
+    weights = np.exp(log - top)
+    shares = weights.sum(axis=1)
+    parts = list(belief.parts)
+    for mode in np.flatnonzero(shares > 0.0).tolist():
+        share = weights[mode] / shares[mode]
+        mean, covariance = mixture_moments(means[mode], covariances[mode], share)
+        parts[mode] = replace(parts[mode], mean=mean, covariance=covariance)
+    return ModalPosterior(tuple(parts), np.asarray(shares / shares.sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class Future:
+    """A ratio of Gaussians, smoothed to predicted, where the predicted one is standard normal.
+
+    exp(-z' precision z / 2 + pull' z - log_norm), where x = origin + basis z.
+
+    Attributes:
+        origin: (D,) the predicted mean.
+        basis: (D, R) its spread's root.
+        precision: (R, R), none of whose eigenvalues is negative.
+        pull: (R,).
+        log_norm: so that the mean over the prediction is 1.
+    """
+
+    origin: Floats
+    basis: Floats
+    precision: Floats
+    pull: Floats
+    log_norm: float
+
+    def weigh(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats, float]:
+        """Mean and covariance of a Gaussian times the ratio, and the logarithm of their product's mass."""
+        whitening = np.linalg.pinv(self.basis)
+        place, spread = whitening @ (mean - self.origin), whitening @ covariance @ whitening.T
+        shrinkage = np.linalg.inv(np.eye(len(spread)) + spread @ self.precision)
+        product = symmetric(np.asarray(shrinkage @ spread))
+        log_mass = 0.5 * float(
+            np.linalg.slogdet(shrinkage)[1]
+            - place @ shrinkage.T @ self.precision @ place
+            + 2.0 * self.pull @ shrinkage @ place
+            + self.pull @ product @ self.pull
+        )
+        product_mean = shrinkage @ (place + spread @ self.pull)
+        remainder = mean - self.origin - self.basis @ place
+        return (
+            self.origin + self.basis @ product_mean + remainder,
+            symmetric(covariance + self.basis @ (product - spread) @ self.basis.T),
+            log_mass - self.log_norm,
+        )
+
+
+def _future_of(mean: Floats, covariance: Floats, smoothed: GaussianPosterior) -> Future:
+    """The ratio of a smoothed Gaussian to the predicted one of this mean and covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    keep = values > 1e-12 * max(values[-1], 1e-300)
+    basis = vectors[:, keep] * np.sqrt(values[keep])
+    whitening = (vectors[:, keep] / np.sqrt(values[keep])).T
+    spread, axes = np.linalg.eigh(symmetric(whitening @ smoothed.covariance @ whitening.T))
+    inverse = 1.0 / np.maximum(spread, 1e-12)
+    pull = axes @ (inverse * (axes.T @ (whitening @ (smoothed.mean - mean))))
+    weight = np.maximum(inverse - 1.0, 0.0)
+    projections = axes.T @ pull
+    log_norm = 0.5 * float(np.sum(projections**2 / (1.0 + weight) - np.log1p(weight)))
+    return Future(mean, basis, np.asarray((axes * weight) @ axes.T), pull, log_norm)

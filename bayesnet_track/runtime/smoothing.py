@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +13,18 @@ from bayesnet_track.adapt.identities import LEAST_DOUBT
 from bayesnet_track.belief.asked import groups_of
 from bayesnet_track.belief.contract import MotionModel, Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.motion.borders import NOTHING, confined
 from bayesnet_track.belief.motion.composed import compose_motion, deviations_of
 from bayesnet_track.belief.motion.jumps import Jumping, Search
-from bayesnet_track.belief.motion.modes import modes_of
+from bayesnet_track.belief.motion.modes import mode_probabilities, modes_of
 from bayesnet_track.belief.particles.particle_set import ParticleSet
-from bayesnet_track.belief.smoothing import Move, most_probable_trajectory, smooth_gaussians, smooth_particles
+from bayesnet_track.belief.smoothing import (
+    Move,
+    most_probable_trajectory,
+    smooth_gaussians,
+    smooth_particles,
+)
 from bayesnet_track.engine.compiled import make_plate_motion
 from bayesnet_track.engine.lifecycle.identities import SURE
 from bayesnet_track.engine.metrics import CLOUD_SIZE, state_numbers
@@ -35,7 +42,7 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.observation.timed_columns import values_at
-from bayesnet_track.runtime.recording.beliefs import KeptBelief, read_beliefs
+from bayesnet_track.runtime.recording.beliefs import KeptBelief, KeptPosterior, read_beliefs
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.resizing import Resizing
 
@@ -100,7 +107,7 @@ def _is_start(run: Run, target: str, frame: int) -> bool:
     )
 
 
-Smoothed = ParticleSet | GaussianPosterior
+Smoothed = KeptPosterior
 
 NO_SEARCH = Search(0.0, "", 0, np.zeros((0, 4)), np.zeros(0), 0.0, 0.0)
 
@@ -268,6 +275,11 @@ def _most_probable(
 ) -> Sequence[Floats]:
     """The states of the most probable trajectory; none for Gaussians, of which it is the means."""
     particles = [filtered.posterior for filtered in lifetime if isinstance(filtered.posterior, ParticleSet)]
+    if any(isinstance(filtered.posterior, ModalPosterior) for filtered in lifetime):
+        raise SmoothingError(
+            f"{run.name}: a Gaussian in modes keeps no trajectory of modes; allowed: belief: particles, or "
+            f"smooth without {setting('--map')}"
+        )
     if not particles:
         return [np.empty(0)] * len(lifetime)
     settings = spec.Particles() if root.belief is None else root.belief.settings
@@ -300,7 +312,9 @@ def _smooth_lifetime(
     rng: np.random.Generator,
 ) -> Sequence[Smoothed]:
     beliefs = [filtered.posterior for filtered in lifetime]
-    gaussians = [posterior for posterior in beliefs if isinstance(posterior, GaussianPosterior)]
+    gaussians = [
+        posterior for posterior in beliefs if isinstance(posterior, GaussianPosterior | ModalPosterior)
+    ]
     if len(gaussians) == len(beliefs):
         assert root.belief is not None and isinstance(root.belief.settings, spec.Gaussian)
         return smooth_gaussians(gaussians, moves, root.belief.settings)
@@ -340,6 +354,7 @@ def _described(
     described = replace(
         line,
         parts={},
+        **_modes_of_line(root, belief),
         centre_box=_floats(_inside(centre[:4], resizing.tracked)),
         map=_floats(most_probable[:4]),
         sd=_floats(np.sqrt(variances)),
@@ -351,6 +366,16 @@ def _described(
         cloud=tuple(map(tuple, np.rint(belief.draw(CLOUD_SIZE, rng)).astype(np.int64).tolist())),
     )
     return replace(resizing.metrics(described), parts=line.parts)
+
+
+def _modes_of_line(root: spec.InferenceNode, belief: Smoothed) -> dict[str, Any]:
+    """The modes of a smoothed belief as a line has them; nothing of a root without any."""
+    modes = modes_of(root)
+    if modes is None:
+        return {}
+    shares = mode_probabilities(belief, len(modes))
+    hidden = {"hidden": modes.probability_hidden(shares)} if modes.can_hide else {}
+    return {"modes": modes.named(shares), "category": modes.values(shares), **hidden}
 
 
 def _inside(box: Floats, size: tuple[int, int]) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.motion.modes import FIELD, Modal, make_modes, mode_probabilities
 from bayesnet_track.belief.particles.adaptive_size import EVENLY
 from bayesnet_track.belief.particles.belief import ParticleFilter, map_index
-from bayesnet_track.belief.smoothing import Move, smooth_particles
+from bayesnet_track.belief.smoothing import Move, smooth_gaussians, smooth_particles
 from bayesnet_track.graph import spec
 from bayesnet_track.numerics.gaussian import symmetric
 from bayesnet_track.numerics.log_weights import LogWeights
@@ -288,6 +288,92 @@ def test_smoothing_weighs_the_modes_by_what_comes_later(stream_of):
     smoothed = smooth_particles(beliefs, moves, 80, np.random.default_rng(1))
     before, after = (mode_probabilities(one[1], 2)[1] for one in (beliefs, smoothed))
     assert after > before + 0.2
+
+
+def smoothed_by_enumeration(motion, places):
+    """Exact: mean, covariance and P(mode) of every frame, over the Kalman smoothers of all sequences."""
+    modes, chain = motion.modes, motion.modes.chain.over(1.0)
+    look, log, sequences = np.eye(2, 6), [], []
+    for sequence in product(range(len(modes)), repeat=len(places) + 1):
+        steps = pairwise(sequence)
+        prior = modes.start()[sequence[0]] * np.prod([chain[old, new] for old, new in steps])
+        if prior <= 0.0:
+            continue
+        mean, spread = motion.start_moments(BOX)
+        total, forward = np.log(prior), []
+        for place, new in zip(places, sequence[1:], strict=True):
+            moves, noise = motion.motions[new].linearise(mean, 1.0)
+            ahead, before = moves @ mean, moves @ spread @ moves.T + noise
+            mean, spread = ahead, before
+            if modes.hidden[new]:
+                total += np.log(BACKGROUND)
+            else:
+                s = look @ before @ look.T + SD**2 * np.eye(2)
+                away, gain = place - look @ ahead, before @ look.T @ np.linalg.inv(s)
+                total += np.log(SD**2) - 0.5 * (np.linalg.slogdet(s)[1] + away @ np.linalg.solve(s, away))
+                mean, spread = ahead + gain @ away, before - gain @ s @ gain.T
+            forward.append((mean, spread, moves, ahead, before))
+        back = [forward[-1][:2]]
+        later = zip(reversed(forward[:-1]), reversed(forward[1:]), strict=True)
+        for (mean, spread, *_), (_, _, moves, ahead, before) in later:
+            gain = spread @ moves.T @ np.linalg.pinv(before, rcond=1e-12, hermitian=True)
+            after, narrow = back[-1]
+            back.append((mean + gain @ (after - ahead), spread + gain @ (narrow - before) @ gain.T))
+        log.append(total)
+        sequences.append((sequence[1:], back[::-1]))
+    weights = np.exp(np.array(log) - np.logaddexp.reduce(log))
+    for frame in range(len(places)):
+        means = np.array([back[frame][0] for _, back in sequences])
+        mean = weights @ means
+        spread = sum(
+            w * (back[frame][1] + np.outer(m - mean, m - mean))
+            for w, m, (_, back) in zip(weights, means, sequences, strict=True)
+        )
+        frame_modes = [sequence[frame] for sequence, _ in sequences]
+        yield mean, spread, np.bincount(frame_modes, weights, minlength=len(modes))
+
+
+def smoothed_in_modes(motion, places, stream_of):
+    settings = spec.Gaussian(filter="kalman", gate=1)
+    belief = ModalFilter(settings, motion.modes)
+    beliefs = [step.posterior for step, _ in run(belief, motion, places, stream_of, measured=True)]
+    return beliefs, smooth_gaussians(beliefs, [Move(motion, 1.0)] * (len(beliefs) - 1), settings)
+
+
+@pytest.mark.parametrize("settings", [TWO_SPEEDS, MANOEUVRE_AND_HIDING], ids=["speeds", "hiding"])
+def test_a_gaussian_in_modes_is_smoothed_over_a_step_exactly(settings, stream_of):
+    """In the first frame no modes were mixed yet, so that nothing is approximate."""
+    motion = modal(settings, sd=1.0)
+    _, smoothed = smoothed_in_modes(motion, PLACES[:2], stream_of)
+    mean, spread, shares = next(smoothed_by_enumeration(motion, PLACES[:2]))
+    assert smoothed[0].mean == pytest.approx(mean, abs=1e-8)
+    assert smoothed[0].covariance == pytest.approx(spread, abs=1e-6)
+    assert smoothed[0].mode_probabilities == pytest.approx(shares, abs=1e-9)
+
+
+def test_modes_that_do_not_follow_each_other_are_smoothed_exactly(stream_of):
+    """As those of a category: a Kalman smoother for each."""
+    still = {
+        name: {**mode, "next": {name: 1.0}}
+        for name, mode in (("slow", {}), ("fast", {"motion": TWO_SPEEDS["turn"]["motion"]}))
+    }
+    motion = modal(still, sd=1.0)
+    _, smoothed = smoothed_in_modes(motion, PLACES, stream_of)
+    for belief, (mean, spread, shares) in zip(smoothed, smoothed_by_enumeration(motion, PLACES), strict=True):
+        assert belief.mean == pytest.approx(mean, abs=1e-7)
+        assert belief.covariance == pytest.approx(spread, abs=1e-6)
+        assert belief.mode_probabilities == pytest.approx(shares, abs=1e-9)
+
+
+def test_a_smoothed_gaussian_in_modes_is_nearer_to_enumeration_than_the_filter(stream_of):
+    motion = modal(MANOEUVRE_AND_HIDING, sd=1.0)
+    filtered, smoothed = smoothed_in_modes(motion, PLACES, stream_of)
+    exact = list(smoothed_by_enumeration(motion, PLACES))
+    for filtered_belief, belief, (mean, _, shares) in zip(filtered[:-1], smoothed, exact, strict=False):
+        away, before = (np.abs(one.mean[:2] - mean[:2]).max() for one in (belief, filtered_belief))
+        assert away < 0.2 * before
+        assert belief.mode_probabilities == pytest.approx(shares, abs=0.1)
+    assert smoothed[-1] is filtered[-1]
 
 
 # ------------------------------------------------------------------------------------ chains

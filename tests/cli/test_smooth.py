@@ -78,7 +78,17 @@ def test_a_belief_that_cannot_be_kept_is_refused_before_the_run(tmp_path, capsys
 
     for n in range(2):
         cv2.imwrite(str(tmp_path / f"{n}.png"), np.full((56, 72, 3), 90, np.uint8))
-    source = ["--source", str(tmp_path), "--init", "20,14,16,12", "--quiet", "--keep-beliefs"]
-    assert main(["run", "hidden_ball", *source, "--out", str(tmp_path / "run")]) == 2
-    assert "ball.ball is Gaussian in modes, which cannot be smoothed yet" in capsys.readouterr().err
+    (tmp_path / "late.csv").write_text("frame,x\n0,20\n1,20\n", encoding="utf-8")
+    graph = tmp_path / "late.yaml"
+    graph.write_text(
+        "bayesnet: 1\nname: late\ntargets:\n  ball:\n    nodes:\n"
+        "      ball: {belief: {gaussian: {filter: extended}}, motion: {constant_velocity: {}}}\n"
+        "      late: {parent: ball, agent: {readings: {file: FILE, sd: {x: 2}, delay: 1}}}\n".replace(
+            "FILE", str(tmp_path / "late.csv")
+        ),
+        encoding="utf-8",
+    )
+    source = ["--source", str(tmp_path / "*.png"), "--init", "20,14,16,12", "--quiet", "--keep-beliefs"]
+    assert main(["run", str(graph), *source, "--out", str(tmp_path / "run")]) == 2
+    assert "ball.late has a delay, and beliefs with their past cannot be smoothed" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

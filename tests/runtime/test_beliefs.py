@@ -8,6 +8,7 @@ import pytest
 from bayesnet_track import load_graph
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.delayed import CameraShift
@@ -121,8 +122,17 @@ def test_only_the_heaviest_cells_of_a_grid_are_kept(tmp_path, monkeypatch):
     np.testing.assert_allclose(np.sort(kept.posterior.weights.weights), heaviest / heaviest.sum(), rtol=1e-6)
 
 
-def test_gaussians_in_modes_are_not_kept_and_particles_are():
-    with pytest.raises(ValueError, match=r"ball\.ball is Gaussian in modes.*allowed: belief: particles"):
-        check_kept(load_graph("hidden_ball").spec)
+def test_a_gaussian_for_each_mode_is_kept_with_their_probabilities(tmp_path):
+    parts = (gaussian(), gaussian(), gaussian())
+    belief = ModalPosterior(parts, np.array([0.5, 0.3, 0.2]))
+    (kept,) = written(tmp_path / "beliefs.jsonl", state(belief))
+    assert np.array_equal(kept.posterior.mode_probabilities, belief.mode_probabilities)
+    for part, kept_part in zip(parts, kept.posterior.parts, strict=True):
+        assert np.array_equal(kept_part.mean, part.mean) and kept_part.fields == part.fields
+        assert np.array_equal(kept_part.covariance, part.covariance)
+
+
+def test_what_can_be_kept():
+    check_kept(load_graph("hidden_ball").spec)
     check_kept(load_graph("bouncing_square").spec)
     check_kept(load_graph("kalman_ball").spec)

@@ -39,6 +39,23 @@ def gaussian_run(tmp_path_factory):
     return tracked("kalman_ball", "flying_ball", tmp_path_factory.mktemp("kept") / "run", keep_beliefs=True)
 
 
+@pytest.fixture(scope="module")
+def modal_run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("kept") / "run"
+    return tracked("hidden_ball", "flying_ball", out, 36, keep_beliefs=True)
+
+
+def test_modes_are_given_the_whole_run(modal_run):
+    """Behind the pillar from frame 19 to 31, and nearest to its middle half-way."""
+    filtered, lines = modal_run.metrics, smooth(modal_run).metrics
+    middle = [(line.sd[0], before.sd[0]) for line, before in zip(lines, filtered, strict=True)][21:30]
+    assert all(sd < 0.7 * before for sd, before in middle)
+    assert all(line.hidden > 0.95 and line.modes["behind"] == line.hidden for line in lines[20:31])
+    assert lines[19].hidden > 0.8 > 0.2 > filtered[19].hidden
+    with pytest.raises(KeptBeliefsError, match=r"keeps no trajectory of modes; allowed: belief: particles"):
+        smooth(modal_run, most_probable=True)
+
+
 def test_the_filter_is_not_changed_by_keeping(particle_run, tmp_path):
     plain = tracked("two_squares", "two_squares", tmp_path / "run")
     assert plain.metrics == particle_run.metrics

@@ -178,7 +178,7 @@ class ModalFilter:
     ) -> ModalPosterior:
         """The belief after `dt` frame intervals without evidence; `rng` is not used."""
         mixed = mix(prior, self.modes.chain.over(dt))
-        parts = zip(mixed.parts, _motions(motion), strict=True)
+        parts = zip(mixed.parts, motions_of(motion), strict=True)
         return replace(
             mixed, parts=tuple(self._predict(part, mode_motion, dt) for part, mode_motion in parts)
         )
@@ -192,7 +192,7 @@ class ModalFilter:
         which the target is seen, and counts as missed otherwise.
         """
         predicted = self.predict(prior, motion, dt, stream("predict"))
-        motions = _motions(motion)
+        motions = motions_of(motion)
         point_sets = [
             stand_for_each(
                 [(part.mean, part.covariance)], mode_motion, self.settings, [stream(f"samples {number}")]
@@ -369,7 +369,7 @@ def modal_in(motion: MotionModel) -> Modal:
     return free
 
 
-def _motions(motion: MotionModel) -> tuple[MotionModel, ...]:
+def motions_of(motion: MotionModel) -> tuple[MotionModel, ...]:
     """Motions of the target in each mode, confined where the motion is."""
     modal = modal_in(motion)
     if isinstance(motion, Confined):

@@ -19,6 +19,7 @@ import numpy as np
 
 from bayesnet_track.belief.contract import Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
+from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.belief.grid.cells import AXIS, GridBelief
 from bayesnet_track.belief.motion.composed import Influences
 from bayesnet_track.belief.motion.delayed import CameraShift
@@ -38,6 +39,9 @@ MOST_CELLS = 4000
 """Cells of a grid that are kept: the heaviest."""
 
 
+KeptPosterior = ParticleSet | GaussianPosterior | ModalPosterior
+
+
 @dataclass(frozen=True, eq=False)
 class KeptBelief:
     """The belief about a target after a frame.
@@ -54,7 +58,7 @@ class KeptBelief:
     frame: int
     target: str
     time: float
-    posterior: ParticleSet | GaussianPosterior
+    posterior: KeptPosterior
     influences: Influences | None = None
     heard: AgentMessages = field(default_factory=AgentMessages)
 
@@ -67,7 +71,7 @@ def check_kept(graph: GraphSpec) -> None:
     """Check that every belief of a graph can be kept.
 
     Raises:
-        UnkeptBeliefError: one is a Gaussian for each mode, or depends on those of other targets.
+        UnkeptBeliefError: one has a past, or depends on those of other targets.
     """
     joined = {kind for join in graph.joins for kind in join.between or ()}
     for kind, plate in graph.targets.items():
@@ -85,12 +89,6 @@ def check_kept(graph: GraphSpec) -> None:
                 keep = setting("--keep-beliefs")
                 raise UnkeptBeliefError(
                     f"{keep}: {kind}.{name} is Gaussian and joined with others, which is not smoothed yet; "
-                    f"allowed: belief: particles, or no {keep}"
-                )
-            if node.modes or node.category:
-                keep, noun = setting("--keep-beliefs"), "modes" if node.modes else "categories"
-                raise UnkeptBeliefError(
-                    f"{keep}: {kind}.{name} is Gaussian in {noun}, which cannot be smoothed yet; "
                     f"allowed: belief: particles, or no {keep}"
                 )
 
@@ -129,6 +127,9 @@ def read_beliefs(path: Path) -> Iterator[KeptBelief]:
 
 
 def _posterior_to_plain(posterior: Posterior) -> dict[str, Any]:
+    if isinstance(posterior, ModalPosterior):
+        parts = [_posterior_to_plain(part) for part in posterior.parts]
+        return {"modes": _to_text(posterior.mode_probabilities, "<f8"), "parts": parts}
     if isinstance(posterior, GaussianPosterior):
         return {
             "gaussian": list(posterior.fields),
@@ -197,7 +198,7 @@ def _kept(line: dict[str, Any]) -> KeptBelief:
     )
 
 
-def _heard(line: dict[str, Any], posterior: ParticleSet | GaussianPosterior) -> AgentMessages:
+def _heard(line: dict[str, Any], posterior: KeptPosterior) -> AgentMessages:
     answers = {str(a): _from_text(text, "<f4") for a, text in line.get("log_likelihoods", {}).items()}
     for agent, values in answers.items():
         if not isinstance(posterior, ParticleSet) or len(values) != len(posterior):
@@ -213,7 +214,15 @@ def _measured(plain: dict[str, Any]) -> Measurement:
     return Measurement(fields, mean, covariance.reshape(len(fields), len(fields)))
 
 
-def _posterior(line: dict[str, Any]) -> ParticleSet | GaussianPosterior:
+def _posterior(line: dict[str, Any]) -> KeptPosterior:
+    if "modes" in line:
+        shares = _from_text(line["modes"], "<f8")
+        parts = tuple(
+            part for plain in line["parts"] if isinstance(part := _posterior(plain), GaussianPosterior)
+        )
+        if len(parts) != len(shares):
+            raise ValueError(f"{len(parts)} Gaussians and {len(shares)} modes")
+        return ModalPosterior(parts, shares)
     if "gaussian" in line:
         fields = tuple(line["gaussian"])
         mean, covariance = (_from_text(line[key], "<f8") for key in ("mean", "covariance"))

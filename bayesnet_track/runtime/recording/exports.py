@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.particles.particle_set import ParticleSet
+from bayesnet_track.belief.gaussian.modal import ModalPosterior
 from bayesnet_track.engine.scoring.outcome import level_afterwards, means_of
 from bayesnet_track.graph.spec import Guarantee, InferenceNode, Target
 from bayesnet_track.journal.blocks import NumberedBoxes, boxes_of
@@ -34,6 +34,7 @@ from bayesnet_track.numerics.resampling import systematic
 from bayesnet_track.numerics.streams import Streams
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.runtime.checkpoints.recipe import Recipe, RecipeError
+from bayesnet_track.runtime.recording.beliefs import KeptPosterior
 from bayesnet_track.runtime.recording.interchange import TRACK_COLUMNS, Row, track_rows
 from bayesnet_track.runtime.recording.run_reader import Run
 from bayesnet_track.runtime.recording.tracks import LEAST_LENGTH, LEAST_SCORE, MOT_LINE
@@ -121,10 +122,13 @@ def beliefs_as_dataset(run: Run, draws: int = 500, seed: int = 0) -> Any:
     )
 
 
-def _draw(
-    posterior: ParticleSet | GaussianPosterior, draws: int, rng: np.random.Generator
-) -> tuple[Floats, NDArray[np.intp]]:
+def _draw(posterior: KeptPosterior, draws: int, rng: np.random.Generator) -> tuple[Floats, NDArray[np.intp]]:
     """(draws, D) states in any order, and (draws,) which particles they are."""
+    if isinstance(posterior, ModalPosterior):
+        shares = posterior.mode_probabilities
+        counts = rng.multinomial(draws, shares / shares.sum()).tolist()
+        samples = [_draw(part, count, rng)[0] for part, count in zip(posterior.parts, counts, strict=True)]
+        return rng.permutation(np.concatenate(samples)), np.empty(0, dtype=np.intp)
     if isinstance(posterior, GaussianPosterior):
         lower = root(posterior.covariance)
         states = posterior.mean + rng.standard_normal((draws, lower.shape[1])) @ lower.T
