@@ -58,6 +58,8 @@ class FilteredGaussians:
     numbers: Floats
     keeps_status = True
     holds_frame = False
+    is_hidden = None
+    """No modes say whether a target can be seen."""
 
     @property
     def ids(self) -> Sequence[str]:
@@ -103,10 +105,6 @@ class FilteredGaussians:
     def moments(self) -> tuple[Floats, Floats]:
         """Means (T, D) and covariances (T, D, D) of the beliefs."""
         return self.columns.mean, self.columns.covariance
-
-    @property
-    def is_hidden(self) -> None:
-        """No modes say whether a target can be seen."""
 
     @property
     def is_unasked(self) -> Bools | None:

@@ -73,6 +73,10 @@ class FilteredRows(Mapping[str, Filtered]):
     moves: Mapping[str, PredictedMotion] = field(default_factory=dict)
     keeps_status = False
     holds_frame = True
+    is_hidden = None
+    """No modes say whether a target can be seen."""
+    is_unasked = None
+    """Agents look at the image."""
     _made: dict[str, Filtered] = field(default_factory=dict)
 
     @property
@@ -203,14 +207,6 @@ class FilteredRows(Mapping[str, Filtered]):
         return np.array([belief.mean for belief in beliefs]), np.array(
             [belief.covariance for belief in beliefs]
         )
-
-    @property
-    def is_hidden(self) -> None:
-        """No modes say whether a target can be seen."""
-
-    @property
-    def is_unasked(self) -> None:
-        """Its agents look at the image."""
 
     def statuses(self, nets: Sequence[TargetNet]) -> Ints:
         """(T,) places in `adapt.rule_columns.STATUSES`."""
