@@ -221,7 +221,7 @@ class ViewSensor:
         pairs = np.flatnonzero(expected.is_known[rows] & (mixed.weights > 0.0))
         rows, columns, weights = rows[pairs], mixed.columns[pairs], mixed.weights[pairs]
         innovations = detections.values[columns] - expected.values[rows]
-        errors = self.association.variances(self.boxes(mean, self.agent))[rows]
+        errors = self.association.variances(expected.at_mean)[rows]
         cut = cut_covariance(camera, detections.values)[columns]
         spread = expected.spread[rows] + errors[:, :, None] * np.eye(WIDTH) + cut
         first = mean.shape[1] - len(self.views.lasting)
