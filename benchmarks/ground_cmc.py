@@ -292,7 +292,8 @@ def measure(options: argparse.Namespace) -> Iterator[str]:
 
 def write_graph(folder: Path, cameras: Sequence[Sequence4], options: argparse.Namespace) -> Path:
     """The graph's file, and its cameras beside it."""
-    bias = f", bias_px: {{sd: {options.bias}}}" if options.bias else ""
+    shift = f"sd: {options.bias}, sd_by_place: {options.by_place}"
+    bias = f", bias_px: {{{shift}}}" if options.bias else ""
     lines = []
     for seen in cameras:
         camera, name = seen.camera, camera_name(seen)
@@ -316,7 +317,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--cameras", nargs="+", type=int, default=[1, 2, 3, 4])
     parser.add_argument("--boxes", choices=("fairmot", "frcnn"), default="fairmot", help="detector")
     parser.add_argument("--errors", action="store_true", help="what the detections' errors are made of")
-    parser.add_argument("--bias", type=float, default=0.0, help="sd of bias_px of the camera; 0: none")
+    parser.add_argument("--bias", type=float, default=0.0, help="sd of bias_px of cameras; 0: none")
+    parser.add_argument("--by-place", type=float, default=0.0, help="sd_by_place of it")
     parser.add_argument("--detection", default="", help="parameters of the agent, as in a graph")
     parser.add_argument("--together", action="store_true", help="by all cameras at once")
     parser.add_argument("--knock", type=float, default=0.0, help="px by which the last camera is shifted")

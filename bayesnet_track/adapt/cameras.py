@@ -1,11 +1,11 @@
-"""State of cameras: their clocks, and which of them was knocked.
+"""State of cameras: errors that their targets share, clocks and biases, and which camera was knocked.
 
-Clocks of cameras, learnt from all targets together: each says what it has seen of them, as a message.
-
-Targets are independent given the clocks, so that the joint Gaussian of clocks o and targets x_i is p(o) times
-the product of p(x_i | o). In a frame each target is updated together with its own copy of o, from p(o) to
-p(o | z_i). What it has seen is the ratio of these two, and p(o | all) is p(o) times all ratios: a frame's
-evidence counts once. Then each target is given that marginal, with its p(x_i | o, z_i) kept (Jeffrey's rule).
+Targets are independent given these errors e, so that the joint Gaussian of errors and targets x_i is p(e)
+times the product of p(x_i | e). In a frame each target is updated together with its own copy of e, from p(e)
+to p(e | z_i). What it has seen is the ratio of these two, and p(e | all) is p(e) times all ratios: a frame's
+evidence counts once. Then each target is given that marginal, with its p(x_i | e, z_i) kept (Jeffrey's rule).
+This is exact of errors that stay, and of linear measurements. Biases of cameras are learnt from each other: a
+shift of the world that all of them share keeps the variance of its prior.
 
 Cameras that were knocked: what all targets of one show at once, and what others do not.
 
@@ -31,17 +31,17 @@ from bayesnet_track.numerics.gaussian import symmetric
 from bayesnet_track.numerics.records import evolve
 
 LEAST_SEEN = 1e-9
-"""A target that leaves all but so much of the variance of a clock has seen nothing of it."""
+"""A target that leaves all but so much of the variance of an error has seen nothing of it."""
 
 REPORTED = 0.5
 """A clock is reported when its sd has fallen to this share of that of the last report."""
 
 
-class ClockMessage(NamedTuple):
-    """Copy of the clocks of one target after it was updated by itself.
+class ErrorMessage(NamedTuple):
+    """Copy of the errors of one target after it was updated by itself.
 
     Attributes:
-        mean: (K,) of its own copy of the clocks.
+        mean: (K,) of its own copy of the errors.
         covariance: (K, K).
     """
 
@@ -58,34 +58,47 @@ class ClockReading:
 
 
 @dataclass(frozen=True, eq=False)
-class Clocks:
-    """Gaussian of the clocks of cameras.
+class CameraErrors:
+    """Gaussian of the errors of cameras: of their clocks, and of where they see things.
+
+    Each is an Ornstein-Uhlenbeck process.
 
     Attributes:
-        names: (camera, what of its clock) of each of the K numbers.
-        offsets: camera -> place of its offset.
+        names: (camera, axis) of each of the K numbers: of its clock, or x or y of its bias, px.
+        offsets: camera -> place of the offset of its clock.
         rates: (place of an offset, place of the rate by which it grows per second), of those that do.
-        mean: (K,) s, and s per s of rates.
+        sds: (K,) before anything is seen: s, s per s of rates, px.
+        over_s: (K,) time in which their correlation falls to 1 / e, s.
+        mean: (K,).
         covariance: (K, K).
-        reported: camera -> what was reported last; before that what the graph says.
+        time_s: when; None before anything is seen.
+        reported: camera -> what was reported of its clock last; before that what the graph says.
     """
 
     names: tuple[tuple[str, str], ...]
     offsets: Mapping[str, int]
     rates: tuple[tuple[int, int], ...]
+    sds: Floats
+    over_s: Floats
     mean: Floats
     covariance: Floats
+    time_s: float | None = None
     reported: Mapping[str, ClockReading] = field(default_factory=dict)
 
-    def later(self, seconds: float) -> Clocks:
-        """The clocks so much later."""
-        ahead = np.eye(len(self.mean))
+    def at(self, time_s: float) -> CameraErrors:
+        """The errors at a later time."""
+        if self.time_s is None or self.time_s == time_s:
+            return replace(self, time_s=time_s)
+        seconds = time_s - self.time_s
+        ahead = np.diag(np.exp(-seconds / self.over_s))
         for grown, rate in self.rates:
             ahead[grown, rate] = seconds
-        return replace(self, mean=ahead @ self.mean, covariance=symmetric(ahead @ self.covariance @ ahead.T))
+        drift = np.diag(-(self.sds**2) * np.expm1(-2.0 * seconds / self.over_s))
+        covariance = symmetric(ahead @ self.covariance @ ahead.T + drift)
+        return replace(self, mean=ahead @ self.mean, covariance=covariance, time_s=time_s)
 
-    def after(self, messages: Iterable[ClockMessage]) -> Clocks:
-        """The clocks after a frame in which targets saw something of them.
+    def after(self, messages: Iterable[ErrorMessage]) -> CameraErrors:
+        """The errors after a frame in which targets saw something of them.
 
         What a target has seen is taken in the directions in which it is surer than the prior; a mixture of
         associations may be less sure in some.
@@ -106,13 +119,22 @@ class Clocks:
         covariance = np.asarray(lower @ np.linalg.solve(information, lower.T), dtype=np.float64)
         return replace(self, mean=mean, covariance=symmetric(covariance))
 
+    def shifted(self, camera: str, knock: Knock) -> CameraErrors:
+        """The errors after a knock of a camera, which is independent of all that was seen before it."""
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        for axis, shift in (("x", knock.x), ("y", knock.y)):
+            place = self.names.index((camera, axis))
+            mean[place] += shift
+            covariance[place, place] += knock.variance
+        return replace(self, mean=mean, covariance=covariance)
+
     def reading(self, camera: str) -> ClockReading:
         """The clock of a camera."""
         place = self.offsets[camera]
         return ClockReading(float(self.mean[place]), float(np.sqrt(self.covariance[place, place])))
 
-    def report(self) -> tuple[Clocks, dict[str, tuple[ClockReading, ClockReading]]]:
-        """The clocks, and those to report: camera -> its clock, and as it was reported last.
+    def report(self) -> tuple[CameraErrors, dict[str, tuple[ClockReading, ClockReading]]]:
+        """The errors, and clocks to report: camera -> its clock, and as it was reported last.
 
         It is reported when it is much surer than last time, or when it is elsewhere.
         """
@@ -147,56 +169,60 @@ def adopt(
 
 
 @dataclass(frozen=True, eq=False)
-class PlateClocks:
-    """The clocks as fields of the states of a plate.
+class PlateErrors:
+    """The errors of cameras as fields of the states of a plate.
 
     Attributes:
-        clocks: all of them.
+        errors: all of them.
         columns: of the states.
-        places: of each column among the K numbers of the clocks.
-        of_view: view -> the column of its camera's offset.
+        places: of each column among the K numbers of the errors.
+        clock_of: view -> the column of its camera's offset.
+        bias_of: view -> the columns of its camera's bias.
     """
 
-    clocks: Clocks
+    errors: CameraErrors
     columns: Sequence[int]
     places: Sequence[int]
-    of_view: Mapping[str, int]
+    clock_of: Mapping[str, int]
+    bias_of: Mapping[str, Sequence[int]]
 
-    @property
-    def moments(self) -> tuple[Floats, Floats]:
-        """Mean and covariance of the columns."""
-        return self.clocks.mean[self.places], self.clocks.covariance[np.ix_(self.places, self.places)]
+    def moments(self, columns: Sequence[int]) -> tuple[Floats, Floats]:
+        """Mean and covariance of some of the columns."""
+        places = [self.places[self.columns.index(column)] for column in columns]
+        return self.errors.mean[places], self.errors.covariance[np.ix_(places, places)]
 
-    def message(self, mean: Floats, covariance: Floats) -> ClockMessage:
-        """Message of a target of the plate, N(mean, covariance) after its own update, on all clocks."""
-        known, at = self.clocks, list(self.columns)
-        if len(at) == len(known.mean) and list(self.places) == list(range(len(at))):
-            return ClockMessage(mean[at], covariance[np.ix_(at, at)])
-        # Of cameras that this plate has no view of it says nothing: they follow the others, as before.
-        places = np.ix_(self.places, self.places)
-        gain = np.linalg.solve(known.covariance[places], known.covariance[self.places, :]).T
-        spread = covariance[np.ix_(at, at)] - known.covariance[places]
-        moved = mean[at] - known.mean[self.places]
-        return ClockMessage(known.mean + gain @ moved, symmetric(known.covariance + gain @ spread @ gain.T))
+    def message(self, mean: Floats, covariance: Floats, columns: Sequence[int]) -> ErrorMessage:
+        """Message of a target, N(mean, covariance) after its own update, by some columns, on all errors.
+
+        On those that it says nothing of, it is what follows from the others, as before.
+        """
+        prior, at = self.errors, list(columns)
+        places = [self.places[self.columns.index(column)] for column in columns]
+        if places == list(range(len(prior.mean))):
+            return ErrorMessage(mean[at], covariance[np.ix_(at, at)])
+        known = prior.covariance[np.ix_(places, places)]
+        gain = np.linalg.solve(known, prior.covariance[places, :]).T
+        spread = covariance[np.ix_(at, at)] - known
+        moved = mean[at] - prior.mean[places]
+        return ErrorMessage(prior.mean + gain @ moved, symmetric(prior.covariance + gain @ spread @ gain.T))
 
     def adopted(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """N(mean, covariance) of a state with the clocks' marginal in place of its own."""
-        return adopt(mean, covariance, self.columns, self.moments)
+        """N(mean, covariance) of a state with the errors' marginal in place of its own."""
+        return adopt(mean, covariance, self.columns, self.moments(self.columns))
 
     def begun(self, view: str, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """States (N, D), now, that a frame of a view started, which shows them by its offset earlier.
 
-        x = p + o v, with o and v independent as yet.
+        They depend on the bias of the view alone as yet: x = p + o v, with o and v independent.
         """
-        mean, covariance = mean.copy(), covariance.copy()
-        target, spread = self.moments
-        mean[:, self.columns] = target
-        at = np.array(self.columns)
-        covariance[:, at[:, None], at] = spread
-        column = self.of_view.get(view)
+        pairs = [self.adopted(*pair) for pair in zip(mean, covariance, strict=True)]
+        if not pairs:
+            return mean, covariance
+        mean, covariance = (np.array(each) for each in zip(*pairs, strict=True))
+        column = self.clock_of.get(view)
         if column is None:
             return mean, covariance
-        offset, variance = target[list(self.columns).index(column)], covariance[:, column, column]
+        offset, variance = float(mean[0, column]), covariance[:, column, column]
         ahead = np.tile(np.eye(mean.shape[1]), (len(mean), 1, 1))
         second = [covariance[:, speed, speed] * variance for speed in (4, 5)]
         for place, speed in ((0, 4), (1, 5)):
@@ -295,6 +321,7 @@ class Knock:
         agree: targets that are off so.
         targets: of so many.
         chi_square: how unlikely it is by chance.
+        variance: px^2 by which either may be wrong.
     """
 
     x: float
@@ -303,6 +330,7 @@ class Knock:
     agree: int
     targets: int
     chi_square: float
+    variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,20 +341,14 @@ class Watch:
         bias_px: sd of the error of its calibration, px.
         offsets: of its targets.
         spread: (4,) px^2 per axis, of the means of each of `LENGTHS`.
-        mean_offset: (2,) px, of all offsets of its targets.
         looks: frames in which two targets or more told.
-        shift: (2,) px by which the camera is off since it was knocked.
-        variance: px^2 of each, beyond that of its calibration.
-        learning: frames for which the shift is learnt yet.
+        learning: frames for which a knock is learnt yet.
     """
 
     bias_px: float = 0.0
     offsets: Offsets = field(default_factory=Offsets)
     spread: Floats = field(default_factory=lambda: np.zeros(len(LENGTHS)))
-    mean_offset: Floats = field(default_factory=lambda: np.zeros(2))
     looks: int = 0
-    shift: Floats = field(default_factory=lambda: np.zeros(2))
-    variance: float = 0.0
     learning: int = 0
 
     def see(self, names: Sequence[str], expected: Floats, detections: Floats) -> Watch:
@@ -385,52 +407,23 @@ class Watch:
             is_beyond = float(np.hypot(*mean)) > self.bias_px
             if is_beyond and 2.0 * smallest >= LEVEL and (likeliest is None or chi > likeliest.chi_square):
                 agree = int((changes @ mean > mean @ mean / 2.0).sum())
-                likeliest = Knock(float(mean[0]), float(mean[1]), length, agree, count, chi)
+                variance = spread / count + float(mean @ mean) / 32.0  # wrong by a quarter of it
+                likeliest = Knock(float(mean[0]), float(mean[1]), length, agree, count, chi, variance)
         return likeliest
 
     def settled(self) -> Watch:
-        """After a frame without a knock: what is usual is learnt, and the shift as far as it is uncertain."""
+        """After a frame without a knock: what is usual is learnt, but while a knock is."""
         if self.learning:
-            return self._learn_shift()
+            return evolve(self, learning=self.learning - 1)
         spread, has_changes = self.spread.copy(), False
         share = max(FORGET, 1.0 / (self.looks + 1.0))
         for k, changes in enumerate(self.offsets.changes):
             if len(changes) >= 2:
                 has_changes = True
                 spread[k] += share * (float((changes**2).mean()) - spread[k])
-        if not has_changes:
-            return self
-        latest = self.offsets.recent[:, -1]
-        latest = latest[np.isfinite(latest[:, 0])]
-        mean_offset = (
-            self.mean_offset + share * (latest.mean(axis=0) - self.mean_offset)
-            if len(latest)
-            else self.mean_offset
-        )
-        return evolve(self, spread=spread, mean_offset=mean_offset, looks=self.looks + 1)
+        return evolve(self, spread=spread, looks=self.looks + 1) if has_changes else self
 
-    def knocked(self, knock: Knock) -> Watch:
-        """After a knock, which may be wrong by a quarter of it; the last offsets are forgotten."""
-        shift = np.array([knock.x, knock.y])
-        k = LENGTHS.index(knock.frames)
-        variance = float(self.spread[k]) / knock.targets + (shift @ shift) / 32.0
+    def knocked(self) -> Watch:
+        """After a knock: the last offsets are forgotten."""
         offsets = evolve(self.offsets, recent=np.full_like(self.offsets.recent, np.nan))
-        return evolve(
-            self,
-            offsets=offsets,
-            shift=self.shift + shift,
-            variance=self.variance + variance,
-            learning=SETTLED,
-        )
-
-    def _learn_shift(self) -> Watch:
-        """By the last offsets, which are off by what is still unknown of the shift."""
-        latest = self.offsets.recent[:, -1] - self.mean_offset
-        latest = latest[np.isfinite(latest[:, 0])]
-        later = evolve(self, learning=self.learning - 1)
-        if not len(latest):
-            return later
-        noise = max(float(self.spread[0]), LENGTHS[-1] * float(self.spread[-1])) / len(latest)
-        gain = self.variance / (self.variance + noise)
-        shift = self.shift + gain * latest.mean(axis=0)
-        return evolve(later, shift=shift, variance=(1.0 - gain) * self.variance)
+        return evolve(self, offsets=offsets, learning=SETTLED)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bayesnet_track.adapt.association import UNASSIGNED, Owners, distances, pair_up
-from bayesnet_track.adapt.cameras import Clocks, Watch
+from bayesnet_track.adapt.cameras import CameraErrors, Watch
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
 from bayesnet_track.journal.events.joins import Refusal
@@ -99,7 +99,7 @@ class TrackHistory:
     births: Mapping[str, str] = field(default_factory=dict)
     detection_models: Mapping[str, DetectionModel] = field(default_factory=dict)
     refusals: Mapping[str, Refusal | None] = field(default_factory=dict)
-    clocks: Clocks | None = None
+    errors: CameraErrors | None = None
     watches: Mapping[str, Mapping[str, Watch]] = field(default_factory=dict)
 
 

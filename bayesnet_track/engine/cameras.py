@@ -1,21 +1,21 @@
-"""Cameras in a frame: their clocks, and where they point, learnt from what all targets saw."""
+"""Cameras in a frame: their clocks and biases, learnt from what all targets saw, and knocks."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from bayesnet_track.adapt.cameras import (
     LEVEL,
-    ClockMessage,
+    CameraErrors,
     ClockReading,
-    Clocks,
+    ErrorMessage,
     Knock,
-    PlateClocks,
+    PlateErrors,
     Watch,
-    adopt,
 )
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.adapt.lifecycle import TrackHistory
@@ -23,69 +23,80 @@ from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.lifecycle.sensing import Found, PointingShift
+from bayesnet_track.engine.lifecycle.sensing import Found
 from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.state import TargetState
-from bayesnet_track.graph.checked import CLOCK
+from bayesnet_track.graph.checked import CLOCK, RATE, LastingError
 from bayesnet_track.journal.events.cameras import CameraKnocked, ClockLearnt
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.records import evolve
 
 
-def first_clocks(engine: Engine) -> Clocks | None:
-    """The clocks as the graph says; None where it has none to learn."""
-    sds: dict[tuple[str, str], float] = {}
-    for compiled in engine.plates.values():
-        for (camera, axis), sd in _clocks_of(compiled).values():
-            sds[camera, axis] = sd
-    if not sds:
+def first_errors(engine: Engine) -> CameraErrors | None:
+    """The errors that targets share, as the graph says; None where it has none."""
+    by_name = {
+        name: error for compiled in engine.plates.values() for name, error in _errors_of(compiled).values()
+    }
+    if not by_name:
         return None
-    names = tuple(sds)
+    names = tuple(by_name)
     offsets = {camera: place for place, (camera, axis) in enumerate(names) if axis == CLOCK}
-    rates = tuple((offsets[camera], place) for place, (camera, axis) in enumerate(names) if axis != CLOCK)
-    reported = {camera: ClockReading(0.0, sds[camera, CLOCK]) for camera in offsets}
-    spread = np.diag(np.array([*sds.values()]) ** 2)
-    return Clocks(names, offsets, rates, np.zeros(len(names)), spread, reported)
+    rates = tuple((offsets[camera], place) for place, (camera, axis) in enumerate(names) if axis == RATE)
+    reported = {camera: ClockReading(0.0, by_name[camera, CLOCK].sd) for camera in offsets}
+    sds, over_s = (
+        np.array([getattr(error, key) for error in by_name.values()], dtype=np.float64)
+        for key in ("sd", "over_s")
+    )
+    spread = np.diag(sds**2)
+    return CameraErrors(names, offsets, rates, sds, over_s, np.zeros(len(names)), spread, reported=reported)
 
 
-def clocks_now(work: FrameContext, history: TrackHistory) -> Clocks | None:
-    """The clocks as they are expected in the frame; None where none is learnt."""
-    if history.clocks is None:
-        return first_clocks(work.engine)
-    previous = work.cache.frames.previous
-    return history.clocks if previous is None else history.clocks.later(work.frame.time - previous.time)
+def errors_at(work: FrameContext, history: TrackHistory) -> CameraErrors | None:
+    """The errors as they are expected in the frame; None where none is shared."""
+    errors = first_errors(work.engine) if history.errors is None else history.errors
+    return None if errors is None else errors.at(work.frame.time)
 
 
-def plate_clocks(compiled: CompiledPlate, clocks: Clocks | None) -> PlateClocks | None:
-    """The clocks as a plate's states have them; None of a plate that no camera with a clock sees."""
-    clock_fields = _clocks_of(compiled)
-    if clocks is None or not clock_fields:
+def plate_errors(compiled: CompiledPlate, errors: CameraErrors | None) -> PlateErrors | None:
+    """The errors as a plate's states have them; None of a plate without any."""
+    named = _errors_of(compiled)
+    if errors is None or not named:
         return None
     fields = compiled.motion.fields
-    columns = [fields.index(field) for field in clock_fields]
+    columns = {name: fields.index(field) for field, (name, _) in named.items()}
     assert compiled.views is not None
-    of_view = {
-        node: fields.index(view.clock)
-        for node, view in compiled.views.views.items()
-        if view.clock is not None
-    }
-    return PlateClocks(
-        clocks, columns, [clocks.names.index(name) for name, _ in clock_fields.values()], of_view
+    cameras = {node: view.seen_by for node, view in compiled.views.views.items()}
+    return PlateErrors(
+        errors,
+        [*columns.values()],
+        [errors.names.index(name) for name in columns],
+        {node: columns[name, CLOCK] for node, name in cameras.items() if (name, CLOCK) in columns},
+        {
+            node: [columns[name, axis] for axis in "xy"]
+            for node, name in cameras.items()
+            if (name, "x") in columns
+        },
     )
 
 
-def learn_clocks(
+def learn_errors(
     work: FrameContext, history: TrackHistory, filtered: FilteredTargets
-) -> tuple[Clocks, Mapping[str, Filtered], tuple[ClockLearnt, ...]]:
-    """The clocks after the frame, the targets with them, and what is reported."""
-    prior = clocks_now(work, history)
+) -> tuple[CameraErrors, Mapping[str, Filtered], tuple[ClockLearnt, ...]]:
+    """The errors of cameras after the frame, the targets with them, and what is reported of clocks.
+
+    What surely moves is evidence of clocks, and every target of biases.
+    """
+    prior = errors_at(work, history)
     assert prior is not None
-    messages: list[ClockMessage] = []
+    messages: list[ErrorMessage] = []
     for target, filtered_target in filtered.others.items():
-        copy, belief = plate_clocks(work.plate_of(target), prior), filtered_target.step.posterior
-        if copy is not None and isinstance(belief, GaussianPosterior) and surely_moves(belief):
-            messages.append(copy.message(belief.mean, belief.covariance))
-    clocks, news = prior.after(messages).report()
+        copy, belief = plate_errors(work.plate_of(target), prior), filtered_target.step.posterior
+        if copy is None or not isinstance(belief, GaussianPosterior):
+            continue
+        columns = copy.columns if surely_moves(belief) else [*chain.from_iterable(copy.bias_of.values())]
+        if columns:
+            messages.append(copy.message(belief.mean, belief.covariance, columns))
+    errors, news = prior.after(messages).report()
     events = tuple(
         ClockLearnt(
             work.frame.index, camera, reading.offset_s, reading.sd_s, reported.offset_s, reported.sd_s
@@ -93,17 +104,17 @@ def learn_clocks(
         for camera, (reading, reported) in news.items()
     )
     targets = {
-        target: _adopted(plate_clocks(work.plate_of(target), clocks), filtered_target)
+        target: _adopted(plate_errors(work.plate_of(target), errors), filtered_target)
         for target, filtered_target in filtered.others.items()
     }
-    return clocks, targets, events
+    return errors, targets, events
 
 
-def adopt_clocks(work: FrameContext, history: TrackHistory, clocks: Clocks) -> TrackHistory:
-    """The history with unconfirmed tracks that are given the clocks."""
+def adopt_errors(work: FrameContext, history: TrackHistory, errors: CameraErrors) -> TrackHistory:
+    """The history with unconfirmed tracks that are given the errors."""
     models: dict[str, DetectionModel] = dict(history.detection_models)
     for plate, model in models.items():
-        copy, unconfirmed = plate_clocks(work.engine.plates[plate], clocks), model.unconfirmed
+        copy, unconfirmed = plate_errors(work.engine.plates[plate], errors), model.unconfirmed
         if copy is None or not len(unconfirmed):
             continue
         pairs = zip(unconfirmed.mean, unconfirmed.covariance, strict=True)
@@ -127,19 +138,19 @@ def surely_moves(belief: GaussianPosterior) -> bool:
     return float(velocity @ np.linalg.solve(spread, velocity)) > MOVES**2
 
 
-def _clocks_of(compiled: CompiledPlate) -> dict[str, tuple[tuple[str, str], float]]:
-    """Field of a plate's states -> (camera, what of its clock), and its sd before anything is seen."""
+def _errors_of(compiled: CompiledPlate) -> dict[str, tuple[tuple[str, str], LastingError]]:
+    """Field of a plate's states -> (camera, axis) and the error, of those that its targets share."""
     if compiled.views is None:
         return {}
     views = compiled.views.views
     return {
-        error.field: ((views[error.node].seen_by, error.axis), error.sd)
+        error.field: ((views[error.node].seen_by, error.axis), error)
         for error in compiled.views.lasting
-        if error.is_clock
+        if error.is_shared
     }
 
 
-def _adopted(copy: PlateClocks | None, filtered: Filtered) -> Filtered:
+def _adopted(copy: PlateErrors | None, filtered: Filtered) -> Filtered:
     belief = filtered.step.posterior
     if copy is None or not isinstance(belief, GaussianPosterior):
         return filtered
@@ -154,14 +165,15 @@ class Watched:
 
     Attributes:
         watches: camera -> what is known of where it points.
-        shifts: camera that is off -> by how much.
-        news: cameras of which that is new in this frame.
+        copy: errors of cameras as the plate's states have them; None where none is shared.
+        shift: columns of the bias of a camera that was knocked in this frame, px by which it is off (2,), and
+            their variance; None of none.
         events: what is to be reported.
     """
 
     watches: Mapping[str, Watch]
-    shifts: Mapping[str, PointingShift]
-    news: tuple[str, ...] = ()
+    copy: PlateErrors | None = None
+    shift: tuple[Sequence[int], Floats, float] | None = None
     events: tuple[CameraKnocked, ...] = ()
 
     @classmethod
@@ -169,7 +181,7 @@ class Watched:
         cls,
         compiled: CompiledPlate,
         frame: int,
-        watches: Mapping[str, Watch],
+        history: tuple[Mapping[str, Watch], CameraErrors | None],
         looks: Mapping[str, Found],
         targets: tuple[tuple[str, ...], Floats],
     ) -> Watched:
@@ -177,8 +189,9 @@ class Watched:
 
         A camera whose pose is not said to be uncertain (`bias_px`) is not watched.
         """
-        names, means = targets
+        (watches, errors), (names, means) = history, targets
         updated, looking = dict(watches), []
+        copy = plate_errors(compiled, errors)
         for agent, detections in looks.items():
             sensor = compiled.sensors[agent]
             if (bias_px := sensor.bias_sd) > 0.0:
@@ -186,72 +199,60 @@ class Watched:
                 looking.append(camera)
                 watch = updated.get(camera, Watch(bias_px))
                 updated[camera] = watch.see(names, sensor.boxes(means), detections.values)
-        previous = updated
-        updated, knocked = _judge(previous, looking)
-        events: tuple[CameraKnocked, ...] = ()
-        if knocked is not None:
-            camera, knock = knocked
-            events = (
-                CameraKnocked(
-                    frame,
-                    camera,
-                    round(knock.x, 2),
-                    round(knock.y, 2),
-                    round(float(updated[camera].variance) ** 0.5, 2),
-                    frame - knock.frames + 1,
-                    knock.agree,
-                    knock.targets,
-                    round(knock.chi_square, 1),
-                ),
-            )
-        news = tuple(name for name in looking if updated[name].variance != previous[name].variance)
-        return cls(updated, _shifts(compiled, updated), news, events)
+        updated, knocked = _judge(updated, looking)
+        if knocked is None or copy is None or errors is None:
+            return cls(updated, copy)
+        camera, knock = knocked
+        event = CameraKnocked(
+            frame,
+            camera,
+            round(knock.x, 2),
+            round(knock.y, 2),
+            round(knock.variance**0.5, 2),
+            frame - knock.frames + 1,
+            knock.agree,
+            knock.targets,
+            round(knock.chi_square, 1),
+        )
+        assert compiled.views is not None
+        node = next(name for name, view in compiled.views.views.items() if view.seen_by == camera)
+        shift = copy.bias_of[node], np.array([knock.x, knock.y]), knock.variance
+        copy = evolve(copy, errors=errors.shifted(camera, knock))
+        return cls(updated, copy, shift, (event,))
+
+    @property
+    def errors(self) -> CameraErrors | None:
+        """Errors of all cameras; None where none is shared."""
+        return None if self.copy is None else self.copy.errors
 
     def move_target(self, target: TargetState) -> TargetState:
-        """A target with what is new."""
+        """A target with the knock of this frame."""
         belief = target.belief
-        if not self.news or not isinstance(belief, GaussianPosterior):
+        if self.shift is None or not isinstance(belief, GaussianPosterior):
             return target
         mean, covariance = self.move(belief.mean[None], belief.covariance[None])
         return evolve(target, belief=evolve(belief, mean=mean[0], covariance=covariance[0]))
 
     def move_tracks(self, model: DetectionModel) -> DetectionModel:
-        """Unconfirmed tracks with what is new."""
+        """Unconfirmed tracks with the knock of this frame."""
         waiting = model.unconfirmed
-        if not self.news or not len(waiting):
+        if self.shift is None or not len(waiting):
             return model
         mean, covariance = self.move(waiting.mean, waiting.covariance)
         return evolve(model, unconfirmed=evolve(waiting, mean=mean, covariance=covariance))
 
     def move(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
-        """States (T, D), (T, D, D) with what is new: a knock widens the bias, what is learnt narrows it.
+        """States (T, D), (T, D, D) with the knock of this frame, which widens the bias of its camera.
 
-        A knock is independent of all that was seen before it; what is learnt of it is evidence on what was
-        seen since.
+        It is independent of all that was seen before it.
         """
+        if self.shift is None:
+            return mean, covariance
+        columns, shift, variance = self.shift
         mean, covariance = mean.copy(), covariance.copy()
-        for camera in self.news:
-            shift = self.shifts[camera]
-            columns = list(shift.columns)
-            for row in range(len(mean)):
-                marginal = shift.mean, shift.variance * np.eye(len(columns))
-                if shift.variance > covariance[row, columns[0], columns[0]]:
-                    mean[row, columns] = shift.mean
-                    covariance[row, columns, columns] = shift.variance
-                else:
-                    mean[row], covariance[row] = adopt(mean[row], covariance[row], columns, marginal)
+        mean[:, columns] += shift
+        covariance[:, columns, columns] += variance
         return mean, covariance
-
-
-def _shifts(compiled: CompiledPlate, watches: Mapping[str, Watch]) -> dict[str, PointingShift]:
-    """Camera that was knocked -> by how much it is off."""
-    shifts = {}
-    for sensor in compiled.sensors.values():
-        watch = watches.get(sensor.camera)
-        if watch is not None and watch.variance > 0.0:
-            variance = sensor.bias_sd**2 + watch.variance
-            shifts[sensor.camera] = PointingShift(sensor.bias_columns, watch.shift, variance)
-    return shifts
 
 
 def _judge(
@@ -269,5 +270,5 @@ def _judge(
     if not order or order[0] not in looking or knocks[order[0]].chi_square < LEVEL + second:
         return updated | {name: watches[name].settled() for name in looking}, None
     first = order[0]
-    updated[first] = watches[first].knocked(knocks[first])
+    updated[first] = watches[first].knocked()
     return updated, (first, knocks[first])

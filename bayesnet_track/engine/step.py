@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from bayesnet_track.adapt.memory import STATUS_STREAKS
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
-from bayesnet_track.engine.cameras import adopt_clocks, first_clocks, learn_clocks
+from bayesnet_track.engine.cameras import adopt_errors, first_errors, learn_errors
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile_graph
 from bayesnet_track.engine.filtering import Filtered, filter_ready, filter_target, ready_each
 from bayesnet_track.engine.finishing import Results, finish_targets
@@ -154,8 +154,8 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
         stages.insert(0, Stage("arrange", arrange_targets, (arrange,)))
     if engine.joins:
         stages.append(Stage("join", join, (join_targets,)))
-    if first_clocks(engine) is not None:
-        stages.append(Stage("clocks", set_clocks, (learn_clocks,)))
+    if first_errors(engine) is not None:
+        stages.append(Stage("errors of cameras", set_errors, (learn_errors,)))
     stages.append(Stage("measure, decide, learn", finish, (finish_targets, carry_out)))
     if any(_cut_level(compiled) is not None for compiled in plates):
         stages.insert(0, Stage("scene cuts", cut_scenes, (_find_cuts,)))
@@ -241,15 +241,16 @@ def join(batch: Batch) -> Batch:
     return evolve(batch, joint=join_targets(batch.work, batch.state.joins, batch.joint.filtered))
 
 
-def set_clocks(batch: Batch) -> Batch:
-    """The clocks of cameras are learnt from all targets, which are given them."""
-    work, joint = batch.work, batch.joint
-    clocks, singles, events = learn_clocks(work, batch.state.history, joint.filtered)
+def set_errors(batch: Batch) -> Batch:
+    """The errors of cameras are learnt from all targets, which are given them."""
+    work, joint, associated = batch.work, batch.joint, batch.associated
+    history = batch.state.history if associated is None else associated.history
+    errors, singles, events = learn_errors(work, history, joint.filtered)
     together = FilteredTargets(joint.filtered.groups, singles, joint.filtered.order)
-    state = evolve(batch.state, history=evolve(batch.state.history, clocks=clocks))
-    associated = batch.associated
+    state = evolve(batch.state, history=evolve(batch.state.history, errors=errors))
     if associated is not None:
-        associated = evolve(associated, history=adopt_clocks(work, associated.history, clocks))
+        history = adopt_errors(work, evolve(associated.history, errors=errors), errors)
+        associated = evolve(associated, history=history)
     joint = evolve(joint, filtered=together, events=(*joint.events, *events))
     return evolve(batch, state=state, associated=associated, joint=joint)
 

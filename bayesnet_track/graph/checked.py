@@ -125,6 +125,9 @@ class Calibration:
 CLOCK = "clock_s"
 """By how much the times of a camera's frames are late, s."""
 
+BY_PLACE = ("x_by_place", "y_by_place")
+"""By how much a camera is off, px, beyond what all its targets share."""
+
 RATE = "rate"
 """By how much `CLOCK` grows per second."""
 
@@ -137,11 +140,11 @@ class LastingError:
 
     Attributes:
         node: the view whose camera is off, or the agent whose detections are.
-        axis: the coordinate of the box in the image, x, y, w or h; `CLOCK` of the time, and `RATE`, by which
-            that grows per second.
+        axis: the coordinate of the box in the image, x, y, w or h; one of `BY_PLACE`, of a camera's shift
+            that differs from place to place; `CLOCK` of the time, and `RATE`, by which that grows per second.
         sd: its sd, px of a view, s of its clock, and the share of the box's width or height of an agent.
         over_s: time in which its correlation falls to 1 / e.
-        is_shared: whether all targets share it, so that it is allowed for and not estimated from one of them.
+        is_shared: whether all targets share it, so that it is learnt from all of them together.
     """
 
     node: str
@@ -159,6 +162,26 @@ class LastingError:
     def is_clock(self) -> bool:
         """True of the offset and the rate of a camera's clock."""
         return self.axis in (CLOCK, RATE)
+
+    @property
+    def is_by_place(self) -> bool:
+        """True of a camera's shift that each target has of its own: it is allowed for, and not estimated."""
+        return self.axis in BY_PLACE
+
+    @property
+    def column(self) -> int:
+        """The coordinate of the box."""
+        return "xywh".index(self.axis[0])
+
+    @property
+    def is_bias(self) -> bool:
+        """True of the shift of a camera that all its targets share."""
+        return self.is_shared and not self.is_clock
+
+    @property
+    def is_px(self) -> bool:
+        """True of an error of a camera's calibration, px."""
+        return self.is_bias or self.is_by_place
 
 
 @dataclass(frozen=True, eq=False)

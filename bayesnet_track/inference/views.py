@@ -126,7 +126,7 @@ class View:
     @property
     def shared(self) -> tuple[str, ...]:
         """Fields of the state that are allowed for and not estimated."""
-        return tuple(error.field for error in self.lasting if error.is_shared)
+        return tuple(error.field for error in self.lasting if error.is_by_place)
 
     def project(self, ground: Hypotheses, frame: Frame) -> Hypotheses:
         """Hypotheses as boxes in its image; see `visible_boxes`.
@@ -144,8 +144,8 @@ def _errors_of(view: View, agent: str) -> tuple[tuple[int, int, int | None], ...
     An error without such a side is in px.
     """
     errors = ((place, error) for place, error in enumerate(view.lasting) if error.node in (view.node, agent))
-    columns = ((place, error, BOX.index(error.axis)) for place, error in errors if not error.is_clock)
-    return tuple((place, k, None if error.is_shared else 2 + k % 2) for place, error, k in columns)
+    columns = ((place, error, error.column) for place, error in errors if not error.is_clock)
+    return tuple((place, k, None if error.is_px else 2 + k % 2) for place, error, k in columns)
 
 
 def effects(error: LastingError, boxes: Floats) -> Floats:
@@ -153,8 +153,8 @@ def effects(error: LastingError, boxes: Floats) -> Floats:
     change = np.zeros_like(boxes)
     if error.is_clock:  # it moves what moves, by the velocity: a box alone has none
         return change
-    column = BOX.index(error.axis)
-    change[:, column] = 1.0 if error.is_shared else boxes[:, 2 + column % 2]
+    column = error.column
+    change[:, column] = 1.0 if error.is_px else boxes[:, 2 + column % 2]
     return change
 
 

@@ -219,10 +219,10 @@ def run(
 
 def _clocks(state: State | None) -> Iterator[Event]:
     """The clocks of cameras after the last frame, where they are learnt."""
-    if state is None or state.previous is None or state.history.clocks is None:
+    if state is None or state.previous is None or state.history.errors is None:
         return
-    for camera, previous in state.history.clocks.reported.items():
-        reading = state.history.clocks.reading(camera)
+    for camera, previous in state.history.errors.reported.items():
+        reading = state.history.errors.reading(camera)
         if reading != previous:
             yield ClockLearnt(
                 state.previous.index, camera, reading.offset_s, reading.sd_s, previous.offset_s, previous.sd_s

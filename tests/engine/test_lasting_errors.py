@@ -174,7 +174,7 @@ def test_targets_are_as_in_the_joint_gaussian_of_camera_and_targets(tmp_path):
     """Schmidt's update of the stack, Joseph's form, has the tracker's targets as its marginals."""
     path = write_graph(
         tmp_path,
-        {"sd": BIAS, "over_s": BIAS_S},
+        {"sd": 1e-4, "sd_by_place": BIAS, "over_s": BIAS_S},
         {"sd_place_slow": SLOW, "sd_size_slow": SLOW, "slow_over_s": SLOW_S},
     )
     times, rng = np.arange(50)[:, None] / FPS, np.random.default_rng(3)
@@ -194,7 +194,7 @@ def test_targets_are_as_in_the_joint_gaussian_of_camera_and_targets(tmp_path):
             np.testing.assert_allclose([target.state[name] for name in NAMES], mean, atol=1e-5)
             np.testing.assert_allclose([target.state[f"{name}_sd"] for name in NAMES], sds, rtol=1e-4)
             np.testing.assert_allclose(target.state["seen.x"], joint.mean[10 * k + 6], atol=1e-6)
-            assert target.state["view.x_sd"] == pytest.approx(BIAS)
+            assert target.state["view.x_by_place_sd"] == pytest.approx(BIAS)
             compared += 1
     assert compared > 80
     between = joint.covariance[:2, 10:12]  # targets of one camera are off together

@@ -489,7 +489,11 @@ def everything() -> dict[str, Any]:
         "about": "two\nlines: \u00e9 # \U0001f600",
         "inputs": {"pan": {"file": "camera.csv"}},
         "cameras": {
-            "north": {"calibration": "north.yaml", "name": "back", "bias_px": {"sd": 3.0}},
+            "north": {
+                "calibration": "north.yaml",
+                "name": "back",
+                "bias_px": {"sd": 3.0, "sd_by_place": 5.0},
+            },
             "south": {
                 "calibration": "south.yaml",
                 "clock": {"offset_s": {"sd": 0.2}, "rate": {"sd": 1e-5}},

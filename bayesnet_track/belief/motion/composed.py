@@ -125,14 +125,14 @@ class Lasting:
         name: the field of the state.
         sd: at any time, above 0.
         time: in which its correlation falls to 1 / e, above 0; infinite of one that stays.
-        is_shared: whether it is allowed for and not estimated.
+        is_of_camera: whether it is of a camera, so that image agents are no evidence of it.
         grows_by: the field by which it grows per unit of time; "" of one that does not.
     """
 
     name: str
     sd: float
     time: float
-    is_shared: bool
+    is_of_camera: bool
     grows_by: str = ""
 
     def over(self, dt: float) -> tuple[float, float]:
@@ -153,7 +153,7 @@ def lasting_of(errors: Sequence[LastingError]) -> tuple[Lasting, ...]:
             error.field,
             error.sd,
             error.over_s,
-            error.is_shared,
+            error.is_shared or error.is_by_place,
             rates.get(error.node, "") if error.axis == CLOCK else "",
         )
         for error in errors
@@ -161,14 +161,16 @@ def lasting_of(errors: Sequence[LastingError]) -> tuple[Lasting, ...]:
 
 
 def shared_columns(motion: MotionModel) -> tuple[int, ...]:
-    """Columns of the state that are allowed for and not estimated."""
+    """Columns of the errors of cameras."""
     while isinstance(motion, Confined | Reflecting):
         motion = motion.motion
     if not isinstance(motion, Nested):
         return ()
     first = len(motion.fields) - len(motion.deviations)
     return tuple(
-        first + k for k, deviation in enumerate(motion.deviations) if getattr(deviation, "is_shared", False)
+        first + k
+        for k, deviation in enumerate(motion.deviations)
+        if getattr(deviation, "is_of_camera", False)
     )
 
 

@@ -21,7 +21,7 @@ from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes, expect
 from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.modes import moments_of
-from bayesnet_track.engine.cameras import Watched, clocks_now, plate_clocks
+from bayesnet_track.engine.cameras import Watched, errors_at
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.assigning import (
@@ -256,8 +256,8 @@ class Several:
         tracks = self._tracks()
         expecting = predictor(self.work, compiled)
         mean, covariance = expecting(tracks.mean, tracks.covariance)
-        watches, targets = history.watches.get(plate, {}), (tuple(self.names), mean)
-        watched = Watched.watch(compiled, self.work.frame.index, watches, looks, targets)
+        cameras = history.watches.get(plate, {}), errors_at(self.work, history)
+        watched = Watched.watch(compiled, self.work.frame.index, cameras, looks, (tuple(self.names), mean))
         mean, covariance = watched.move(mean, covariance)
         mixtures = self._in_modes(expecting.elapsed)
         for row, mixture in mixtures.items():
@@ -267,10 +267,9 @@ class Several:
         detection_model = watched.move_tracks(history.detection_models.get(plate) or no_tracks)
         seen_first = looks.get(first)
         crowd, detection_model = expect_crowd(rules[first], frames, crowd, detection_model, seen_first)
-        clocks = plate_clocks(compiled, clocks_now(self.work, history))
         links = dict.fromkeys(rules, given_nothing(crowd, detection_model))
         for agent in [name for name in rules if name in looks]:
-            rule = evolve(rules[agent], sensor=rules[agent].sensor.at(frames).aim(clocks, watched.shifts))
+            rule = evolve(rules[agent], sensor=rules[agent].sensor.at(frames).aim(watched.copy))
             sensor = None if agent == first else agent
             model = detection_model.by(sensor)
             links[agent] = associate_marginal(rule, frames.current, crowd, model, looks[agent])
@@ -296,7 +295,8 @@ class Several:
             for row, (target, state) in enumerate(self.others.items(), self.count)
         }
         if watched.watches:
-            history = evolve(history, watches={**history.watches, plate: watched.watches})
+            watches = {**history.watches, plate: watched.watches}
+            history = evolve(history, watches=watches, errors=watched.errors)
         return SharedDetections(rows, states, tuple(chain.from_iterable(owners)), history, watched.events)
 
     def _record_refusals(

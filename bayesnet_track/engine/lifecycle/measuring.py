@@ -9,13 +9,12 @@ graph gives, else found by following h from a place where its value is known.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 
-from bayesnet_track.adapt.cameras import PlateClocks
+from bayesnet_track.adapt.cameras import PlateErrors
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.rows import expect_seen
@@ -27,7 +26,6 @@ from bayesnet_track.engine.lifecycle.sensing import (
     BoxSensor,
     Found,
     Mixed,
-    PointingShift,
     Sensor,
 )
 from bayesnet_track.graph.checked import ANCHORED, CheckedTarget, Inverse, MeasuredAs
@@ -85,7 +83,7 @@ class FunctionSensor:
         is_unscented: whether moments are by sigma points.
         has_extent: whether detections have a size.
         seen: h in the frames of `at`.
-        camera: none, as `bias_sd` and `bias_columns` are.
+        camera: none, as `bias_sd` is.
     """
 
     association: AssociationRule
@@ -101,9 +99,8 @@ class FunctionSensor:
     seen: Seen | None = None
     camera: str = ""
     bias_sd: float = 0.0
-    bias_columns: tuple[int, ...] = ()
 
-    def aim(self, clocks: PlateClocks | None, shifts: Mapping[str, PointingShift]) -> Self:
+    def aim(self, errors: PlateErrors | None) -> Self:
         """The same: it looks through no camera."""
         return self
 

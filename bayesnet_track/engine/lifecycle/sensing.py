@@ -9,7 +9,7 @@ nothing else of it. Boxes are here, quantities that are functions of the state i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import near_along_x
-from bayesnet_track.adapt.cameras import PlateClocks
+from bayesnet_track.adapt.cameras import PlateErrors
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.motion.start_prior import start_moments_of_each
@@ -63,21 +63,6 @@ class Found:
         """Some of them."""
         labels = tuple(np.array(self.labels, dtype=object)[selection]) if self.labels else ()
         return Found(self.values[selection], self.scores[selection], self.numbers[selection], labels)
-
-
-@dataclass(frozen=True, eq=False)
-class PointingShift:
-    """By how much a camera is off that was knocked.
-
-    Attributes:
-        columns: of the bias of the camera in a state.
-        mean: (2,) px.
-        variance: px^2 of each, that of the calibration included.
-    """
-
-    columns: tuple[int, ...]
-    mean: Floats
-    variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,12 +130,8 @@ class Sensor(Protocol):
     def bias_sd(self) -> float:
         """Sd of the error of the camera's calibration, px; 0 where that is exact, or there is none."""
 
-    @property
-    def bias_columns(self) -> tuple[int, ...]:
-        """The columns of a state that have that error."""
-
-    def aim(self, clocks: PlateClocks | None, shifts: Mapping[str, PointingShift]) -> Sensor:
-        """The sensor with what is known of clocks, and by how much cameras are off that were knocked."""
+    def aim(self, errors: PlateErrors | None) -> Sensor:
+        """The sensor with what is known of the errors of cameras."""
 
     def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
         """Innovations of detections of targets that were expected so, in sums; empty without a camera."""
@@ -204,9 +185,8 @@ class BoxSensor:
     has_extent: bool = True
     camera: str = ""
     bias_sd: float = 0.0
-    bias_columns: tuple[int, ...] = ()
 
-    def aim(self, clocks: PlateClocks | None, shifts: Mapping[str, PointingShift]) -> Self:
+    def aim(self, errors: PlateErrors | None) -> Self:
         """The same: it looks through no camera."""
         return self
 

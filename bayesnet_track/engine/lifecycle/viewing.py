@@ -6,28 +6,19 @@ R), R that of a detection of the box h(m). A target that starts stands where its
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from bayesnet_track.adapt.cameras import PlateClocks
+from bayesnet_track.adapt.cameras import PlateErrors
 from bayesnet_track.adapt.existence import DetectionModel, Pairs
 from bayesnet_track.belief.contract import LEAST_SIDE_M, MotionModel
 from bayesnet_track.belief.gaussian.rows import expect_seen
 from bayesnet_track.belief.gaussian.update import measured_columns
 from bayesnet_track.engine.lifecycle.measuring import is_unscented
-from bayesnet_track.engine.lifecycle.sensing import (
-    COVERED,
-    LOG_TURN,
-    Begun,
-    Found,
-    Mixed,
-    PointingShift,
-    near_boxes,
-)
-from bayesnet_track.graph.checked import CheckedTarget, LastingError
+from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
+from bayesnet_track.graph.checked import BY_PLACE, CheckedTarget, LastingError
 from bayesnet_track.inference.views import View, Views, cut_covariance, place
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.cameras import UNSEEN
@@ -52,8 +43,7 @@ class ViewSensor:
         view: through which it looks.
         is_unscented: whether moments are by sigma points.
         has_extent: False: a target moves in metres, as its motion says, not in sides of a box.
-        clocks: what is known of the cameras' clocks in this frame; None where none is learnt.
-        shift: by how much the camera is off; None where it was not knocked.
+        errors: what is known of the errors of cameras in this frame; None where none is shared.
     """
 
     association: AssociationRule
@@ -64,8 +54,7 @@ class ViewSensor:
     is_unscented: bool = False
     has_extent: bool = False
     log_scale: float = -0.5 * WIDTH * LOG_TURN
-    clocks: PlateClocks | None = None
-    shift: PointingShift | None = None
+    errors: PlateErrors | None = None
 
     def at(self, frames: FramePair) -> ViewSensor:
         """The same in every frame."""
@@ -76,11 +65,9 @@ class ViewSensor:
         """The camera through which it looks."""
         return self.view.seen_by
 
-    def aim(self, clocks: PlateClocks | None, shifts: Mapping[str, PointingShift]) -> ViewSensor:
-        """With what is known of the clocks, and of where the camera points."""
-        if clocks is None and not shifts:
-            return self
-        return evolve(self, clocks=clocks, shift=shifts.get(self.camera))
+    def aim(self, errors: PlateErrors | None) -> ViewSensor:
+        """With what is known of the errors of cameras."""
+        return self if errors is None else evolve(self, errors=errors)
 
     def boxes(self, mean: Floats, agent: str = "") -> Floats:
         """(T, 4) boxes in the image of states (T, D), as the camera shows and `agent` finds them."""
@@ -161,12 +148,16 @@ class ViewSensor:
     def begin(self, motion: MotionModel, detections: Found) -> Begun:
         """States where the boxes stand, as surely as they say; none above the horizon."""
         variances = self.association.variances(detections.values)
-        view, boxes = self.view, detections.values
-        if self.shift is not None:
-            bias = {"sd": self.shift.variance**0.5}
-            lasting = (evolve(error, **bias) if self.is_bias(error) else error for error in view.lasting)
+        view, boxes, errors = self.view, detections.values, self.errors
+        bias = [] if errors is None else errors.bias_of.get(view.node, [])
+        bias_mean, bias_variances = np.zeros(0), np.zeros(0)
+        if errors is not None and bias:
+            bias_mean, spread = errors.moments(bias)
+            bias_variances = np.diagonal(spread)
+            sds = dict(zip("xy", np.sqrt(bias_variances).tolist(), strict=True))
+            lasting = (evolve(e, sd=sds[e.axis]) if self.is_bias(e) else e for e in view.lasting)
             view, boxes = evolve(view, lasting=tuple(lasting)), boxes.copy()
-            boxes[:, :2] -= self.shift.mean
+            boxes[:, :2] -= bias_mean
         placed = place(view, boxes, variances, self.views.sizes, self.agent)
         moments = [motion.start_moments(state) for state in placed.states]
         size, first = len(motion.fields), len(motion.fields) - len(self.views.lasting)
@@ -175,12 +166,9 @@ class ViewSensor:
         covariance[:, :4, :4] += placed.covariances
         covariance[:, :4, first:] += placed.cross
         covariance[:, first:, :4] += np.swapaxes(placed.cross, 1, 2)
-        if self.shift is not None:
-            columns = list(self.shift.columns)
-            mean[:, columns] = self.shift.mean
-            covariance[:, columns, columns] = self.shift.variance
-        if self.clocks is not None:
-            mean, covariance = self.clocks.begun(self.view.node, mean, covariance)
+        mean[:, bias], covariance[:, bias, bias] = bias_mean, bias_variances
+        if errors is not None:
+            mean, covariance = errors.begun(self.view.node, mean, covariance)
         return Begun(placed.which, mean, covariance)
 
     def _distances(self, mean: Floats, covariance: Floats, detections: Found) -> tuple[Floats, Floats]:
@@ -225,7 +213,7 @@ class ViewSensor:
         cut = cut_covariance(camera, detections.values)[columns]
         spread = expected.spread[rows] + errors[:, :, None] * np.eye(WIDTH) + cut
         first = mean.shape[1] - len(self.views.lasting)
-        if lasting := [first + k for k, error in enumerate(self.views.lasting) if error.is_shared]:
+        if lasting := [first + k for k, error in enumerate(self.views.lasting) if error.is_px]:
             cross, errors_of = expected.cross[rows][:, lasting], covariance[np.ix_(rows, lasting, lasting)]
             spread = spread - np.swapaxes(cross, 1, 2) @ np.linalg.solve(errors_of, cross)
         free = 1.0 * (np.diagonal(cut, axis1=1, axis2=2) == 0.0) * weights[:, None]
@@ -257,16 +245,12 @@ class ViewSensor:
     @property
     def bias_sd(self) -> float:
         """Sd of the error of the camera's calibration, px; 0 where that is exact."""
-        return next((error.sd for error in self.view.lasting if self.is_bias(error)), 0.0)
-
-    @property
-    def bias_columns(self) -> tuple[int, ...]:
-        """The columns of a state that have it."""
-        return tuple(self.fields.index(error.field) for error in self.view.lasting if self.is_bias(error))
+        errors = {e.axis: e.sd for e in self.view.lasting if e.node == self.view.node and e.is_px}
+        return float(np.hypot(errors.get("x", 0.0), errors.get(BY_PLACE[0], 0.0)))
 
     def is_bias(self, error: LastingError) -> bool:
         """True of the error of the camera's calibration."""
-        return error.node == self.view.node and error.is_shared
+        return error.node == self.view.node and error.is_bias
 
     def _noise(self, expected: Expectation) -> Floats:
         """(T, 4, 4) of errors that differ from frame to frame, of detections of expected boxes."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from bayesnet_track.graph.checked import CLOCK, RATE, Calibration, LastingError, NamedCamera
+from bayesnet_track.graph.checked import BY_PLACE, CLOCK, RATE, Calibration, LastingError, NamedCamera
 from bayesnet_track.graph.checks.cues import cue_parameters
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
 from bayesnet_track.graph.checks.plates import Check, Plate, is_seen, written_name
@@ -354,12 +354,16 @@ def read_lasting(plate: Plate) -> tuple[LastingError, ...]:
             if bias is None:
                 continue
             errors += [LastingError(view, axis, bias.sd, bias.over_s, True) for axis in "xy"]
+            if bias.sd_by_place:
+                errors += [
+                    LastingError(view, axis, bias.sd_by_place, bias.over_s, False) for axis in BY_PLACE
+                ]
         for clock in (plate.sources[camera].clock for camera in node.seen_by):
             if clock is None:
                 continue
-            errors.append(LastingError(view, CLOCK, clock.offset_s.sd, math.inf, False))
+            errors.append(LastingError(view, CLOCK, clock.offset_s.sd, math.inf, True))
             if clock.rate is not None:
-                errors.append(LastingError(view, RATE, clock.rate.sd, math.inf, False))
+                errors.append(LastingError(view, RATE, clock.rate.sd, math.inf, True))
     for agent in plate.agents:
         place, size, over_s = _slow(plate, agent)
         for axes, sd in (("xy", place), ("wh", size)):

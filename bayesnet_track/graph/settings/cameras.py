@@ -29,9 +29,22 @@ class MetreSd(Model):
 
 
 class CameraBias(Model):
-    """Error of where a camera sees things, common to all targets and lasting: of its calibration."""
+    """Error of where a camera sees things, which lasts: of its calibration.
 
-    sd: Positive = Field(description="of the shift along x, and of that along y, px")
+    Example::
+
+        bias_px: {sd: 5, sd_by_place: 15}
+    """
+
+    sd: Positive = Field(
+        description="of the shift along x, and of that along y, that all targets share, px; it is learnt "
+        "where several cameras see them"
+    )
+    sd_by_place: NotNegative = Field(
+        default=0.0,
+        description="of a further shift that differs from place to place, as of a lens that is off, px: each "
+        "target has one of its own, which intervals allow for",
+    )
     over_s: Positive = Field(default=3600.0, description="time in which its correlation falls to 1 / e, s")
 
 
@@ -73,7 +86,7 @@ class CameraSource(Model):
     name: Name | None = Field(default=None, description="which camera, where the file has several")
     bias_px: CameraBias | None = Field(
         default=None,
-        description="how far off it may be: a shift of the image that lasts, of which intervals allow for; "
+        description="how far off it may be: a shift of the image that lasts, and is learnt; "
         "default: the calibration is exact",
     )
     clock: CameraClock | None = Field(

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesnet_track.adapt.cameras import ClockReading, Clocks, Offsets, Watch
+from bayesnet_track.adapt.cameras import CameraErrors, ClockReading, Offsets, Watch
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.identities import Entangled, PlateIdentities
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
@@ -97,7 +97,7 @@ CLASSES: tuple[type, ...] = (
     Meeting,
     Entangled,
     SensorRates,
-    Clocks,
+    CameraErrors,
     ClockReading,
     Watch,
     Offsets,
