@@ -4,36 +4,58 @@ import numpy as np
 import pytest
 
 from bayesnet_track.cli.main import main
-from bayesnet_track.sources.scenes.people import LATE_S, ROOM_FPS, ROOM_FRAMES, ROOMS, room, write_room
+from bayesnet_track.sources.scenes.people import (
+    LATE_S,
+    ROOM_BIAS_PX,
+    ROOM_FPS,
+    ROOM_FRAMES,
+    ROOMS,
+    room,
+    write_room,
+)
 
 
-def errors_of(ground, frames):
-    """Distances, px, of the detections in some frames from the nearest box that the calibration expects."""
+def offsets_of(ground, frames, late=0):
+    """(N, 2) px of the detections in some frames from the nearest box that the calibration expects."""
     rows = ground.detections[np.isin(ground.detections[:, 0], frames) & (ground.detections[:, 5] >= 0.7)]
     centres = rows[:, 1:3] + rows[:, 3:5] / 2 - 0.5
-    boxes = np.array([ground.camera.boxes(ground.paths[:, int(frame)]) for frame in rows[:, 0]])
-    return np.sort(np.hypot(*(boxes[..., :2] - centres[:, None]).transpose(2, 0, 1)), axis=1)[:, 0]
+    boxes = np.array([ground.camera.boxes(ground.paths[:, int(frame) - late]) for frame in rows[:, 0]])
+    offsets = centres[:, None] - boxes[..., :2]
+    return offsets[np.arange(len(rows)), np.hypot(*offsets.transpose(2, 0, 1)).argmin(axis=1)]
+
+
+def errors_of(ground, frames, bias=(0.0, 0.0)):
+    return np.hypot(*(offsets_of(ground, frames) - bias).T)
+
+
+def biases(seed=0):
+    """Camera -> how far its calibration is off, px."""
+    return {
+        name: np.median(offsets_of(ground, range(60)), axis=0) for name, ground in room(seed=seed).items()
+    }
+
+
+def test_calibrations_are_off_as_the_graph_says():
+    drawn = np.concatenate([np.stack([*biases(seed).values()]) for seed in range(12)])
+    assert drawn.std() == pytest.approx(ROOM_BIAS_PX, rel=4.0 / np.sqrt(2.0 * drawn.size))
 
 
 @pytest.mark.parametrize("fault", ROOMS.values())
 def test_only_the_last_camera_has_the_fault(fault):
-    *others, last = room(fault, frames=60).values()
+    (*others, last), bias = room(fault, frames=60).items(), biases()
     early, late = range(30), range(30, 60)
-    for ground in others:
-        assert np.median(errors_of(ground, [*early, *late])) < 3.0
-    assert (np.median(errors_of(last, early)) > 4.0) == (fault == "late")
-    assert (np.median(errors_of(last, late)) > 4.0) == (fault != "")
+    for name, ground in others:
+        assert np.median(errors_of(ground, [*early, *late], bias[name])) < 3.0
+    name, ground = last
+    assert (np.median(errors_of(ground, early, bias[name])) > 4.0) == (fault == "late")
+    assert (np.median(errors_of(ground, late, bias[name])) > 4.0) == (fault != "")
 
 
 def test_a_late_clock_shows_what_was_before():
     frames, steps = 60, round(LATE_S * ROOM_FPS)
     late = room("late", frames=frames)["west"]
-    rows = late.detections[late.detections[:, 5] >= 0.7]
-    rows = rows[rows[:, 0] >= steps]
-    centres = rows[:, 1:3] + rows[:, 3:5] / 2 - 0.5
-    boxes = np.array([late.camera.boxes(late.paths[:, int(frame) - steps]) for frame in rows[:, 0]])
-    apart = np.hypot(*(boxes[..., :2] - centres[:, None]).transpose(2, 0, 1)).min(axis=1)
-    assert np.median(apart) < 3.0
+    offsets = offsets_of(late, range(steps, frames), steps) - biases()["west"]
+    assert np.median(np.hypot(*offsets.T)) < 3.0
 
 
 def test_every_one_is_seen_by_some_camera_most_of_the_time(tmp_path):

@@ -310,6 +310,8 @@ def _background(camera: Camera, rng: np.random.Generator) -> Floats:
 
 ROOM_SIZE, ROOM_FPS, ROOM_FRAMES, ROOM_PEOPLE = (8.0, 6.0), 10.0, 200, 5
 """Length and width in m; frames a second; frames of each camera; number of people."""
+ROOM_BIAS_PX = 3.0
+"""Sd of the shift of each camera's boxes, across and down, as the graph says."""
 LATE_S, KNOCK_DEG = 0.4, (1.5, 0.5)
 """Delay of a late camera's clock; pan and tilt by which a knocked one turns at half time."""
 ROOMS = {"room": "", "room_late": "late", "room_knocked": "knocked"}
@@ -369,6 +371,8 @@ def _looking(centre: Floats, turned_deg: tuple[float, float]) -> Camera:
 def room(fault: str = "", seed: int = 0, frames: int = ROOM_FRAMES) -> dict[str, GroundTruth]:
     """People who walk to and fro in a room, as each camera sees them; the last camera has the fault.
 
+    All boxes of a camera are off alike, as by a calibration that is not exact.
+
     `late`: its clock is `LATE_S` behind: a frame shows what was so long before. `knocked`: from half time on
     it is turned by `KNOCK_DEG`, and its calibration is that from before. The truth is the same for all.
     """
@@ -384,8 +388,9 @@ def room(fault: str = "", seed: int = 0, frames: int = ROOM_FRAMES) -> dict[str,
     times = np.arange(frames) / ROOM_FPS
     cameras = room_cameras()
     faulty = [*cameras][-1]
+    biases = np.random.default_rng([seed, 1]).normal(0.0, ROOM_BIAS_PX, (len(cameras), 2))
     by_camera = {}
-    for name, camera in cameras.items():
+    for (name, camera), bias in zip(cameras.items(), biases, strict=True):
         is_faulty = name == faulty
         paths = paths_at(times - LATE_S if is_faulty and fault == "late" else times)
         boxes = camera.boxes(paths.reshape(-1, 4)).reshape(ROOM_PEOPLE, frames, 4)
@@ -396,6 +401,7 @@ def room(fault: str = "", seed: int = 0, frames: int = ROOM_FRAMES) -> dict[str,
         centre = -camera.rotation.T @ camera.translation
         distances = np.hypot(*(paths[..., :2] - centre[:2]).transpose(2, 0, 1))
         visible = np.array([_mostly_visible(boxes[:, k], distances[:, k]) for k in range(frames)]).T
+        boxes = boxes + [*bias, 0.0, 0.0]
         truth = paths_at(times)
         by_camera[name] = GroundTruth(camera, truth, visible, _detections(boxes, visible, rng), 1 / ROOM_FPS)
     return by_camera
