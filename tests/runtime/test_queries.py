@@ -307,6 +307,71 @@ def test_the_count_of_drawn_crowds_is_calibrated() -> None:
     assert kstest(transforms, "uniform").pvalue > 0.01
 
 
+@pytest.mark.slow
+def test_the_count_of_targets_that_share_detections_is_calibrated_and_hardly_wider_than_exact() -> None:
+    """Four targets a scan, beside each other: the sum of events against all associations, enumerated.
+
+    The exact distribution mixes those of the associations; the belief of each target is matched by moments.
+    """
+    from scipy.stats import kstest
+
+    transforms, widths = [], []
+    for seed in range(200):
+        rng = np.random.default_rng(20_000 + seed)
+        matched, exact, count = counts_of_a_scan(rng)
+        transforms.append(matched[:count].sum() + rng.random() * matched[count])
+        widths.append([np.ptp(np.searchsorted(np.cumsum(d), (0.05, 0.95))) for d in (matched, exact)])
+    assert kstest(transforms, "uniform").pvalue > 0.01
+    width, exact_width = np.mean(widths, axis=0)
+    assert width <= 1.2 * exact_width
+
+
+def counts_of_a_scan(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, int]:
+    """Number of targets in a square: by the moments of each target, by enumeration, and as drawn."""
+    from scipy.stats import norm
+
+    from bayesnet_track.belief.asked import GaussianGroup
+    from bayesnet_track.graph.spec import Query
+    from bayesnet_track.inference.queries import compile_query, probabilities, sum_of_events
+
+    asked = compile_query("q", Query(of="t", count={"polygon": [[0, 0], [60, 0], [60, 60], [0, 60]]}), {})
+    detected, false, area, variance, error = 0.9, 0.5, 120.0**2, 15.0**2, 6.0**2
+    gain = variance / (variance + error)
+    mean = rng.uniform(-15, 75, (4, 2))
+    truth = mean + rng.normal(0, variance**0.5, (4, 2))
+    seen = [place + rng.normal(0, error**0.5, 2) for place in truth if rng.random() < detected]
+    seen += [rng.uniform(-30, 90, 2) for _ in range(rng.poisson(false))]
+    places = np.array(seen).reshape(-1, 2)
+    rng.shuffle(places)
+    away = places[None] - mean[:, None]
+    fit = norm.logpdf(away, scale=(variance + error) ** 0.5).sum(axis=2)
+    odds = np.hstack([np.exp(fit) * detected / (1 - detected) * area / false, np.ones((4, 1))])
+    choices = [np.flatnonzero(row > 1e-3).tolist() for row in odds]
+    # A target's state given each of its choices; the last one is that it was missed.
+    means = np.concatenate([mean[:, None] + gain * away, mean[:, None]], axis=1)
+    variances = np.append(np.full(len(places), (1 - gain) * variance), variance)
+    scaled = [(bound - means) / variances[:, None] ** 0.5 for bound in (0, 60)]
+    inside = (norm.cdf(scaled[1]) - norm.cdf(scaled[0])).prod(axis=2)
+    exact, shares = np.zeros(5), np.zeros_like(odds)
+    for association in itertools.product(*choices):
+        used = [choice for choice in association if choice < len(places)]
+        if len(used) == len(set(used)):
+            rows = np.arange(4), np.array(association)
+            weight = odds[rows].prod()
+            exact += weight * sum_of_events(inside[rows])
+            shares[rows] += weight
+    shares /= shares.sum(axis=1, keepdims=True)
+    matched = np.einsum("kj,kjd->kd", shares, means)
+    apart = means - matched[:, None]
+    covariances = np.zeros((4, 4, 4))
+    covariances[:, :2, :2] = np.einsum("kj,kjd,kje->kde", shares, apart, apart)
+    covariances[:, [0, 1], [0, 1]] += (shares @ variances)[:, None]
+    boxes = np.hstack([matched, np.full((4, 2), 8.0)])
+    group = GaussianGroup([str(k) for k in range(4)], ("x", "y", "w", "h"), boxes, covariances)
+    count = int(((truth > 0) & (truth < 60)).all(axis=1).sum())
+    return sum_of_events(probabilities(asked, group, {})), exact / exact.sum(), count
+
+
 def test_velocities_are_measured_too(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
     line = open_run(whole).metrics[-1]
     assert set(line.state) == {"vx", "vy", "vx_sd", "vy_sd"}
