@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Bools, Floats
-from bayesnet_track.numerics.gaussian import symmetric
+from bayesnet_track.numerics.gaussian import adopt, symmetric
 from bayesnet_track.numerics.records import evolve
 
 LEAST_SEEN = 1e-9
@@ -148,24 +148,6 @@ class CameraErrors:
             return self, news
         reported = {**self.reported, **{camera: reading for camera, (reading, _) in news.items()}}
         return replace(self, reported=reported), news
-
-
-def adopt(
-    mean: Floats, covariance: Floats, columns: Sequence[int], marginal: tuple[Floats, Floats]
-) -> tuple[Floats, Floats]:
-    """N(mean, covariance) of a state with another marginal of some columns: (K,) mean and (K, K) covariance.
-
-    What the state is, given these columns, stays as it was (Jeffrey's rule).
-    """
-    own, (target, spread) = np.ix_(columns, columns), marginal
-    scale = np.sqrt(np.diagonal(covariance)[list(columns)])  # an offset of .1 s beside a rate of 1e-5
-    by = covariance[:, list(columns)] / scale
-    gain = np.linalg.solve(covariance[own] / np.outer(scale, scale), by.T).T / scale
-    after = symmetric(covariance + gain @ (spread - covariance[own]) @ gain.T)
-    after[own] = spread
-    moved = mean + gain @ (target - mean[list(columns)])
-    moved[list(columns)] = target
-    return moved, after
 
 
 @dataclass(frozen=True, eq=False)

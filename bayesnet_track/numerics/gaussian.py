@@ -217,6 +217,24 @@ def symmetric(matrix: Floats) -> Floats:
     return np.asarray(0.5 * (matrix + matrix.swapaxes(-1, -2)))
 
 
+def adopt(
+    mean: Floats, covariance: Floats, columns: Sequence[int], marginal: tuple[Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """N(mean, covariance) of a state with another marginal of some columns: (K,) mean and (K, K) covariance.
+
+    What the state is, given these columns, stays as it was (Jeffrey's rule).
+    """
+    block, (target, spread) = np.ix_(columns, columns), marginal
+    scale = np.sqrt(np.diagonal(covariance)[list(columns)])  # an offset of .1 s beside a rate of 1e-5
+    scaled = covariance[:, list(columns)] / scale
+    gain = np.linalg.solve(covariance[block] / np.outer(scale, scale), scaled.T).T / scale
+    updated = symmetric(covariance + gain @ (spread - covariance[block]) @ gain.T)
+    updated[block] = spread
+    shifted = mean + gain @ (target - mean[list(columns)])
+    shifted[list(columns)] = target
+    return shifted, updated
+
+
 def root(covariance: Floats) -> Floats:
     """(D, K) A with A A' = covariance, K its rank: Cholesky's, without columns that would be 0.
 

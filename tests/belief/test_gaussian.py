@@ -8,6 +8,7 @@ from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
 from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior, predict
 from bayesnet_track.belief.gaussian.rows import take
 from bayesnet_track.belief.motion.borders import Confined
+from bayesnet_track.belief.motion.composed import Lasting, Nested
 from bayesnet_track.belief.motion.models import linear_gaussian
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.graph import spec
@@ -150,6 +151,35 @@ def test_a_random_walk_is_the_scalar_filter(motion_of, stream_of):
         assert now.mean == pytest.approx(np.r_[mean, BOX[1:]])
         assert np.diag(now.covariance) == pytest.approx([variance, 0, 0, 0])
         assert step.log_evidence == pytest.approx(log)
+
+
+@pytest.mark.parametrize("likelihood_by", ["samples", "sigma_points"])
+def test_likelihoods_are_no_evidence_of_the_errors_of_cameras(motion_of, stream_of, likelihood_by):
+    """The errors' marginal is that of the prediction, whatever samples say, and the covariance is one."""
+    errors = (Lasting("view.x", 5.0, 50.0, True), Lasting("view.y", 5.0, 50.0, True))
+    motion = Nested(motion_of("constant_velocity"), errors)
+    belief = GaussianFilter(spec.Gaussian(likelihood=likelihood_by))
+    mean, covariance = motion.start_moments(BOX)
+    covariance = covariance + np.diag(np.r_[np.full(len(mean) - 2, 16.0), 0.0, 0.0])
+    covariance[[0, -2], [-2, 0]] = covariance[
+        [1, -1], [-1, 1]
+    ] = -15.0  # it was seen where the camera shows it
+    prior = belief.start(BOX, motion, stream_of(0, 0))
+    prior = GaussianPosterior(mean, covariance, prior.fields, prior.size)
+
+    def log_density(hypotheses):
+        centres = hypotheses.boxes[:, :2] + np.stack(
+            [hypotheses.fields[f"view.{axis}"] for axis in "xy"], axis=1
+        )
+        return -0.5 * (((centres - [170.0, 112.0]) / 3.0) ** 2).sum(axis=1)
+
+    for seed in range(20):
+        posterior = belief.step(prior, motion, 1.0, likelihood(log_density), stream_of(seed, 1)).posterior
+        predicted = belief.predict(prior, motion, 1.0, np.random.default_rng(0))
+        np.testing.assert_allclose(posterior.mean[-2:], predicted.mean[-2:], atol=1e-12)
+        np.testing.assert_allclose(posterior.covariance[-2:, -2:], predicted.covariance[-2:, -2:], rtol=1e-12)
+        assert np.linalg.eigvalsh(posterior.covariance)[0] > -1e-9
+        assert posterior.mean[0] > predicted.mean[0] + 1.0
 
 
 def test_two_messages_are_one_of_both(motion_of):

@@ -28,7 +28,6 @@ from bayesnet_track.belief.gaussian.update import (
     Gated,
     MeasurementUpdate,
     SigmaPoints,
-    allow_for,
     fit_moments,
     log_message,
     match_moments,
@@ -42,7 +41,7 @@ from bayesnet_track.journal.events.beliefs import MeasurementGated
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.distributions import gaussian_mass_in_disc
-from bayesnet_track.numerics.gaussian import root, sigma_points, symmetric
+from bayesnet_track.numerics.gaussian import adopt, root, sigma_points, symmetric
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Hypotheses
@@ -306,7 +305,8 @@ class GaussianFilter:
             mean, covariance = updated.mean, updated.covariance
             log_evidence += updated.log_likelihood
         if shared := shared_columns(motion):
-            mean, covariance = allow_for(shared, predicted, (mean, covariance))
+            prior = predicted[0][[*shared]], predicted[1][np.ix_(shared, shared)]
+            mean, covariance = adopt(mean, covariance, shared, prior)
         return mean, covariance, log_evidence
 
     def _stepped(
