@@ -15,7 +15,7 @@ where in the room people are followed. `--knock` shifts the detections of the la
 the right, from half time on, and adds a line for each knock that was noticed, and the cover of both halves.
 The settings chosen on CMC1 are
 
-    --together --bias 25 --detection "sd_place: 0.09, sd_size: 0.09"
+    --together --bias 4 --by-place 25 --detection "sd_place: 0.09, sd_size: 0.09"
         --area "[[2, 0], [6.3, 0], [6.3, 3.4], [2, 3.4]]"
 
 `--errors` adds what the detections' own errors are made of: feet and centres of boxes less those of the true
