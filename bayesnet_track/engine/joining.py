@@ -6,6 +6,7 @@ weights of the joint belief's marginal, so that all that follows sees it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.joins import (
+    LEVEL_HIDDEN,
     CarriedHypotheses,
     JoinMemory,
     Level,
@@ -27,7 +29,6 @@ from bayesnet_track.belief.particles.belief import reweight_step
 from bayesnet_track.engine.attachment import Carriers, carriers_of, particles, report_carried, without_ride
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.occlusion import is_degenerate, levels_after, levels_of, report_hidden
 from bayesnet_track.engine.rows.filtered_rows import FilteredTargets
 from bayesnet_track.engine.rows.on_others import logs_on
 from bayesnet_track.engine.stacked import relate_gaussians
@@ -38,13 +39,19 @@ from bayesnet_track.inference.factors import PairFlaw, log_prior_factor, log_see
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import PairFactorChanged
-from bayesnet_track.journal.events.joins import RingChanged
+from bayesnet_track.journal.events.joins import OcclusionChanged, RingChanged
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
 from bayesnet_track.numerics.records import evolve
 
 Steps = dict[str, Step[Posterior]]
+
+HIDDEN, SEEN = 0.5, 0.3
+"""Hidden share above which a target is reported as hidden, and at or below which to be seen again."""
+
+DEEPEST = 20.0
+"""Nats below the best hypothesis at which the worst one counts at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,3 +314,77 @@ def _metrics(
     share = min(sum(hidden.values()), 1.0)
     behind = max(hidden, key=lambda target: hidden[target]) if share > 0.01 else ""
     return JoinMetrics(tuple(in_front), share, behind, dict(in_front), attached, ess_own)
+
+
+def levels_of(
+    remembered: Mapping[str, Level], filtered: FilteredTargets
+) -> tuple[dict[str, Level], dict[str, Level]]:
+    """Target -> its level with the agents that are active: as measured, else that of this very frame.
+
+    Then those after this frame, were all targets seen in it.
+    """
+    levels: dict[str, Level] = {}
+    updated: dict[str, Level] = {}
+    for name in filtered:
+        place = filtered.row(name)
+        if place is None:
+            active, middle, top = filtered[name].plan.active, *_half_way(*_extremes(filtered[name]))
+        else:
+            active, (middle, top) = place[0].plan.active, _half_way(*place[0].extremes[place[1]])
+        level = remembered.get(name)
+        if level is None or level.active != active:
+            level = Level(active, middle, top, 0)
+        levels[name], updated[name] = level, level.then(active, middle, top)
+    return levels, updated
+
+
+def _extremes(target: Filtered) -> tuple[float, float]:
+    """Log-likelihood of the best hypothesis and of the worst."""
+    log = log_seen(target.plan.factors, target.step.evidence)
+    return float(log.max()), float(log.min())
+
+
+def _half_way(top: float, worst: float) -> tuple[float, float]:
+    """Log-likelihood half way between the best and the worst hypothesis, and that of the best."""
+    return (top + max(worst - top, -DEEPEST) / 2, top) if math.isfinite(top) else (0.0, 0.0)
+
+
+def levels_after(
+    previous: Mapping[str, Level],
+    measured: Mapping[str, Level],
+    metrics: Mapping[str, JoinMetrics],
+    filtered: FilteredTargets,
+) -> dict[str, Level]:
+    """The levels of all targets, those measured in this frame, in `measured`, that were seen."""
+    levels = dict(previous)
+    for name, level in measured.items():
+        hidden = metrics[name].hidden if name in metrics else 0.0
+        if hidden <= LEVEL_HIDDEN and not is_degenerate(filtered, name):
+            levels[name] = level
+    return levels
+
+
+def is_degenerate(filtered: FilteredTargets, name: str) -> bool:
+    """True if a target's own evidence could not be used; never of one in a group."""
+    return filtered.row(name) is None and filtered[name].step.degenerate is not None
+
+
+def report_hidden(
+    frame: int, metrics: Mapping[str, JoinMetrics], memory: JoinMemory, events: list[Event]
+) -> JoinMemory:
+    """Add to `events` which targets are hidden now, and which no longer are."""
+    hidden = dict(memory.hidden)
+    for name, target in metrics.items():
+        if name not in hidden and target.hidden > HIDDEN:
+            hidden[name] = (target.behind, frame)
+            front = 1.0 - target.in_front[target.behind]
+            events.append(OcclusionChanged(frame, name, target.behind, True, target.hidden, HIDDEN, front, 0))
+        elif name in hidden and target.hidden <= SEEN:
+            front_target, first_frame = hidden.pop(name)
+            front = 1.0 - target.in_front.get(front_target, 1.0)
+            events.append(
+                OcclusionChanged(
+                    frame, name, front_target, False, target.hidden, SEEN, front, frame - first_frame
+                )
+            )
+    return replace(memory, hidden=hidden)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bayesnet_track.adapt.joins import JoinMemory
-from bayesnet_track.engine.occlusion import report_hidden
+from bayesnet_track.engine.joining import report_hidden
 from bayesnet_track.journal.metrics import JoinMetrics
 
 
