@@ -11,6 +11,7 @@ from bayesnet_track.adapt.association import UNASSIGNED, Owners, distances, pair
 from bayesnet_track.adapt.cameras import CameraErrors, Watch
 from bayesnet_track.adapt.existence import DetectionModel
 from bayesnet_track.graph.settings.lifecycle import Birth, Confirm, Death, MergeDuplicates
+from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.journal.events.joins import Refusal
 from bayesnet_track.journal.target_net import Fault
 from bayesnet_track.numerics.arrays import Floats
@@ -66,6 +67,44 @@ class TrackRecord:
 
 
 @dataclass(frozen=True, eq=False)
+class CameraBudget:
+    """Settings of how cameras are switched.
+
+    Attributes:
+        per_step: declared cost that a step may take.
+        undetected: root of the UD that a target which nobody detected counts as, m.
+        costs: camera -> declared cost of one of its frames.
+    """
+
+    per_step: float
+    undetected: float
+    costs: Mapping[str, float]
+
+    @classmethod
+    def from_graph(cls, spec: GraphSpec) -> CameraBudget | None:
+        """The settings of a graph; None where all cameras are on."""
+        if spec.adapt is None:
+            return None
+        costs = {name: source.cost for name, source in spec.cameras.items()}
+        return cls(spec.adapt.cost_per_step, spec.adapt.undetected_m, costs)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMemory:
+    """Memory of which cameras were on.
+
+    Attributes:
+        cameras: those of the last step in which a camera was on, the best first.
+        credit: declared cost that was saved.
+        undetected: plate -> (G,) expected number of undetected targets in each cell of the ground.
+    """
+
+    cameras: tuple[str, ...] = ()
+    credit: float = 0.0
+    undetected: Mapping[str, Floats] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
 class TrackHistory:
     """Memory of births and deaths between frames.
 
@@ -85,6 +124,7 @@ class TrackHistory:
             was reported.
         clocks: what is known of the clocks of cameras; None where none is learnt.
         watches: plate -> camera -> what is known of where it points.
+        cameras: memory of which cameras were on, where they are switched.
     """
 
     detectors: Mapping[str, DetectorState] = field(default_factory=dict)
@@ -101,6 +141,7 @@ class TrackHistory:
     refusals: Mapping[str, Refusal | None] = field(default_factory=dict)
     errors: CameraErrors | None = None
     watches: Mapping[str, Mapping[str, Watch]] = field(default_factory=dict)
+    cameras: CameraMemory = field(default_factory=CameraMemory)
 
 
 def find_end_cause(record: TrackRecord, rule: Death) -> tuple[str, int, int] | None:

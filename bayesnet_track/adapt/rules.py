@@ -273,7 +273,7 @@ def _drop_index(
         return {agent: inputs.costs_ms[agent] for agent in agents}
     if drop == "min_information_per_ms":
         return remembered_per_ms(memory.worth[0].get(node, InformationRate()), agents, inputs.costs_ms)
-    return {agent: inputs.measures.contribution[agent] / inputs.costs_ms[agent] for agent in agents}
+    return divide_by_cost({agent: inputs.measures.contribution[agent] for agent in agents}, inputs.costs_ms)
 
 
 def _count_held_on(inputs: RuleInputs, node: str) -> int:
@@ -377,14 +377,23 @@ def expected_per_ms(
     >>> round(found["a"], 9), round(found["b"], 9), found["c"]
     (0.8, 0.6, inf)
     """
-    return {agent: rates.hope(agent, settings.exploration) / costs_ms[agent] for agent in agents}
+    return divide_by_cost({agent: rates.hope(agent, settings.exploration) for agent in agents}, costs_ms)
 
 
 def remembered_per_ms(
     rates: InformationRate, agents: Iterable[str], costs_ms: Mapping[str, float]
 ) -> dict[str, float]:
     """Agent -> mean information that it gave per declared cost, nats per ms; for agents that are active."""
-    return {agent: (rates.mean(agent) or 0.0) / costs_ms[agent] for agent in agents}
+    return divide_by_cost({agent: rates.mean(agent) or 0.0 for agent in agents}, costs_ms)
+
+
+def divide_by_cost(gains: Mapping[str, float], costs: Mapping[str, float]) -> dict[str, float]:
+    """Expected gain per declared cost of each action: by it agents and cameras are switched on or off.
+
+    >>> divide_by_cost({"north": 3.0, "south": 2.0}, {"north": 2.0, "south": 1.0})
+    {'north': 1.5, 'south': 2.0}
+    """
+    return {action: gain / costs[action] for action, gain in gains.items()}
 
 
 def _read_ud_beside_more(inputs: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+from bayesnet_track.adapt.lifecycle import CameraBudget
 from bayesnet_track.belief.contract import LEAST_SIDE_M, LEAST_SIDE_PX, BeliefFilter, MotionModel
 from bayesnet_track.belief.gaussian.belief import GaussianFilter
 from bayesnet_track.belief.gaussian.modal import ModalFilter
@@ -57,10 +58,7 @@ from bayesnet_track.observation.cue import (
     make_cue,
     rule_of,
 )
-from bayesnet_track.observation.detector import (
-    Detector,
-    installed_detectors,
-)
+from bayesnet_track.observation.detector import Detector, installed_detectors
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.timed_columns import TimedInput
 
@@ -80,8 +78,7 @@ class CompiledPlate:
         color_agents: agents that are blind on a gray source.
         guard: what keeps references from drifting, or None.
         lifecycle: how its targets are born, recognised and end; None when they live as long as the run.
-        detectors: camera -> the detector of its births in `Engine.detectors`; empty without births. The
-            camera is "" where there is one image.
+        detectors: camera, "" of one image -> the detector of its births, if any, in `Engine.detectors`.
         looks: agents that tell one target from another by its looks.
         part_of: agent that looks at a part of the target -> the part.
         moving: what a frame's motion depends on besides its states; None when on nothing.
@@ -194,6 +191,7 @@ class Engine:
         queries: what the beliefs are asked after every frame.
         inputs: what is known of every frame beside its image: input -> its column.
         values: kinds that joins are between -> names of their modes and values, with their numbers.
+        budget: what cameras may cost; None where all are on.
     """
 
     plates: Mapping[str, CompiledPlate]
@@ -206,6 +204,7 @@ class Engine:
     queries: tuple[CompiledQuery, ...] = ()
     inputs: Mapping[str, TimedInput] = field(default_factory=dict)
     values: Mapping[frozenset[str], Mapping[str, float]] = field(default_factory=dict)
+    budget: CameraBudget | None = None
 
     def numbers_of(self, kinds: tuple[str, ...]) -> Mapping[str, float]:
         """Names of numbers in factors of joins between some kinds: constants, modes, values."""
@@ -272,6 +271,7 @@ def compile_graph(
         joins=graph.spec.joins,
         constants=graph.spec.constants,
         inputs=input_columns(graph.spec),
+        budget=CameraBudget.from_graph(graph.spec),
         values={
             frozenset(join.between): numbers_of_kinds(graph.spec, join.between)
             for join in graph.spec.joins

@@ -22,7 +22,7 @@ from bayesnet_track.adapt.joins import (
     Reaches,
     spanning_tree,
 )
-from bayesnet_track.belief.contract import Posterior, Step
+from bayesnet_track.belief.contract import Evidence, Posterior, Step
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
 from bayesnet_track.belief.motion.modes import FIELD
 from bayesnet_track.belief.particles.belief import reweight_step
@@ -35,7 +35,7 @@ from bayesnet_track.engine.stacked import relate_gaussians
 from bayesnet_track.graph.expressions.distributions import LinearNormal, linear_normals_of
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.graph.settings.lifecycle import Join
-from bayesnet_track.inference.factors import PairFlaw, log_prior_factor, log_seen, pair_factor
+from bayesnet_track.inference.factors import PairFlaw, Weigh, pair_factor
 from bayesnet_track.inference.joint import Edge, Marginal, Member, Pair, joint_marginals
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import PairFactorChanged
@@ -314,6 +314,22 @@ def _metrics(
     share = min(sum(hidden.values()), 1.0)
     behind = max(hidden, key=lambda target: hidden[target]) if share > 0.01 else ""
     return JoinMetrics(tuple(in_front), share, behind, dict(in_front), attached, ess_own)
+
+
+def log_prior_factor(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
+    """(N,) log of the factors that multiply the root's prior; zeros when there are none."""
+    log_factors = [
+        evidence.factors[step.factor] for step in steps if step.is_prior and step.factor in evidence.factors
+    ]
+    return np.sum(log_factors, axis=0) if log_factors else np.zeros(len(evidence.log_likelihood))
+
+
+def log_seen(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
+    """(N,) log-likelihood of what was seen alone, without the factors that multiply the root's prior."""
+    if not steps:
+        return evidence.log_likelihood
+    log = log_prior_factor(steps, evidence)
+    return evidence.log_likelihood - np.where(np.isfinite(log), log, 0.0)
 
 
 def levels_of(

@@ -14,6 +14,7 @@ from bayesnet_track.adapt.memory import STATUS_STREAKS
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.attachment import Rides
 from bayesnet_track.engine.cameras import adopt_errors, first_errors, learn_errors
+from bayesnet_track.engine.choosing import choose_cameras
 from bayesnet_track.engine.compiled import CompiledPlate, Engine, Stage, compile_graph
 from bayesnet_track.engine.filtering import Filtered, filter_ready, filter_target, ready_each
 from bayesnet_track.engine.finishing import Results, finish_targets
@@ -44,6 +45,7 @@ from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import Lost
+from bayesnet_track.journal.events.cameras import CamerasSwitched
 from bayesnet_track.journal.events.event import Event, Input
 from bayesnet_track.journal.events.statuses import SceneCut
 from bayesnet_track.journal.metrics import FrameMetrics
@@ -82,7 +84,7 @@ class Batch:
         state: the state before it.
         inputs: the external inputs, by whom they concern.
         targets: target -> its state before the frame, with the detections that it is given.
-        cuts: scene cuts before the frame.
+        early: scene cuts before the frame, and which cameras are on in it.
         associated: the detections, and whose they are.
         gaussians: the first half of the frame of tables of Gaussian beliefs.
         joint: target -> the first half of its frame, with the weights of its joint belief if it has one.
@@ -95,7 +97,7 @@ class Batch:
     targets: Targets
     joint: JointBelief
     outcome: Outcome
-    cuts: tuple[SceneCut, ...] = ()
+    early: tuple[SceneCut | CamerasSwitched, ...] = ()
     associated: Associated | None = None
     gaussians: tuple[FilteredGaussians, ...] = ()
 
@@ -159,6 +161,8 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
     stages.append(Stage("measure, decide, learn", finish, (finish_targets, carry_out)))
     if any(_cut_level(compiled) is not None for compiled in plates):
         stages.insert(0, Stage("scene cuts", cut_scenes, (_find_cuts,)))
+    if engine.budget is not None:
+        stages.insert(0, Stage("choose cameras", switch_cameras, (choose_cameras,)))
     if any(compiled.lifecycle is not None for compiled in plates):
         stages.append(Stage("tracks", start_and_end, (manage_tracks,)))
     if any(compiled.plate.spec.identity is not None for compiled in plates):
@@ -185,7 +189,19 @@ def cut_scenes(batch: Batch) -> Batch:
     """Targets that a scene cut may have moved are lost from the frame on."""
     state, cuts = _find_cuts(batch.work.engine, batch.state, batch.work.frame)
     work = evolve(batch.work, net=state.net)
-    return evolve(batch, work=work, state=state, targets=Targets.of(state.targets), cuts=cuts)
+    early = (*batch.early, *cuts)
+    return evolve(batch, work=work, state=state, targets=Targets.of(state.targets), early=early)
+
+
+def switch_cameras(batch: Batch) -> Batch:
+    """Frames of cameras that are on are looked at; those of others are as if there were none."""
+    work, state, budget = batch.work, batch.state, batch.work.engine.budget
+    assert budget is not None
+    memory, names, events = choose_cameras(work, batch.targets, state.history, budget)
+    cameras = {name: frame for name, frame in (work.frame.cameras or {}).items() if name in names}
+    cache = PlaneCache(FramePair(replace(work.frame, cameras=cameras), work.cache.frames.previous))
+    state = evolve(state, history=evolve(state.history, cameras=memory))
+    return evolve(batch, work=evolve(work, cache=cache), state=state, early=events)
 
 
 def arrange_targets(batch: Batch) -> Batch:
@@ -290,8 +306,8 @@ def shed_load(batch: Batch) -> Batch:
 
 
 def _with_outcome(batch: Batch, outcome: Outcome) -> Batch:
-    if batch.cuts:
-        outcome = evolve(outcome, events=(*batch.cuts, *outcome.events))
+    if batch.early:
+        outcome = evolve(outcome, events=(*batch.early, *outcome.events))
     return evolve(batch, outcome=outcome)
 
 

@@ -49,6 +49,7 @@ from bayesnet_track.graph.settings.beliefs import (
 )
 from bayesnet_track.graph.settings.cameras import (
     MOST_INPUTS,
+    AdaptCameras,
     CameraSource,
     FrameInput,
     Ground,
@@ -211,6 +212,9 @@ class GraphSpec(Model):
     )
     cameras: dict[Name, CameraSource] = Field(
         default={}, max_length=16, description="cameras that see targets on the ground, by name"
+    )
+    adapt: AdaptCameras | None = Field(
+        default=None, description="how [cameras are switched](choosing_cameras.md); default: all are on"
     )
     targets: dict[Name, Target] = Field(min_length=1, description="kinds of targets, by name")
     joins: tuple[Join, ...] = Field(

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bayesnet_track.belief.contract import BOX_FIELDS, Evidence
+from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.motion.formulas import Undefined
 from bayesnet_track.belief.motion.modes import FIELD
 from bayesnet_track.graph.checked import PAST, Conditional, MeasuredAs
@@ -143,22 +143,6 @@ def linear_factors(
             if normals is not None and all(state.issuperset(normal.form.factors) for normal in normals):
                 densities[step.factor] = normals
     return densities
-
-
-def log_prior_factor(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
-    """(N,) log of the factors that multiply the root's prior; zeros when there are none."""
-    log_factors = [
-        evidence.factors[step.factor] for step in steps if step.is_prior and step.factor in evidence.factors
-    ]
-    return np.sum(log_factors, axis=0) if log_factors else np.zeros(len(evidence.log_likelihood))
-
-
-def log_seen(steps: tuple[Weigh, ...], evidence: Evidence) -> Floats:
-    """(N,) log-likelihood of what was seen alone, without the factors that multiply the root's prior."""
-    if not steps:
-        return evidence.log_likelihood
-    log = log_prior_factor(steps, evidence)
-    return evidence.log_likelihood - np.where(np.isfinite(log), log, 0.0)
 
 
 def _names(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
 from typing import Any, ClassVar, Never
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.association import overlapping_pairs
+from bayesnet_track.engine.choosing import choose_ahead
 from bayesnet_track.engine.lifecycle.detecting import frames_between_looks
 from bayesnet_track.engine.lines import Lines
 from bayesnet_track.engine.starts import check_starts, start_targets
@@ -37,7 +38,7 @@ from bayesnet_track.runtime.given_scans import read_given, read_scans, sensor_co
 from bayesnet_track.runtime.lag import Arrival, LagWindow, SettledStep
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import FrameKind
-from bayesnet_track.runtime.several_cameras import USUAL_SIZE, CamerasFed, blank_image, mark
+from bayesnet_track.runtime.several_cameras import USUAL_SIZE, CamerasFed, blank_image, check_cameras, mark
 from bayesnet_track.runtime.storing import Storable, StoredError, Turns
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
@@ -167,6 +168,32 @@ class DetectionsTracker(Storable):
             )
             for compiled in self._engine.plates.values()
         )
+
+    def choose_cameras(
+        self, time_s: float | None = None, cameras: Iterable[str] | None = None
+    ) -> tuple[str, ...]:
+        """Cameras whose next frame is looked at, by `adapt` of the graph, the best first.
+
+        Frames of others need neither be decoded nor searched: `update` does not read their detections.
+        Before the first frame, and without `adapt`, all are looked at.
+
+        Args:
+            time_s: when the next frames are taken, as `update` will be told.
+            cameras: those that have a frame then; None for all.
+
+        Raises:
+            ValueError: the graph has not several cameras, a name is none of them, or as `update` of a time.
+        """
+        if self._cameras is None:
+            raise ValueError(f"the graph {self._graph.spec.name} has not several cameras to choose from")
+        names = tuple(self._cameras.sizes if cameras is None else cameras)
+        check_cameras(self._graph, dict.fromkeys(names, ()), "frames")
+        if self._now is None or self._engine.budget is None:
+            return names
+        clock = self._now.clock.tick(time_s, ANEW)
+        image = blank_image(*self._cameras.first_size)
+        frame = Frame(clock.index, clock.time, image, time_s=clock.time_s)
+        return choose_ahead(self._engine, self._now.state, self._cameras.step_of(frame, names))
 
     def __repr__(self) -> str:
         """The graph, the frames so far, and the targets."""

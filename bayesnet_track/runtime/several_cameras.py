@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -128,12 +128,14 @@ class CamerasFed:
 
     def frame(self, step: Frame, usable: Mapping[str, GivenDetections]) -> Frame:
         """The step with a frame of each camera whose detections are given: what its detector finds in it."""
-        cameras = {}
-        for camera, size in self.sizes.items():
-            if camera in usable:
-                self.fed[camera].now = usable[camera].detections
-                cameras[camera] = replace(step, image=blank_image(*size))
-        return replace(step, cameras=cameras)
+        for camera, boxes in usable.items():
+            self.fed[camera].now = boxes.detections
+        return self.step_of(step, usable)
+
+    def step_of(self, step: Frame, cameras: Container[str]) -> Frame:
+        """The step with a frame of each of some cameras, in which nothing was looked for."""
+        images = {name: blank_image(*size) for name, size in self.sizes.items() if name in cameras}
+        return replace(step, cameras={name: replace(step, image=image) for name, image in images.items()})
 
 
 def mark(

@@ -20,7 +20,7 @@ from bayesnet_track.graph.spec import AgentNode, InferenceNode, Level
 from bayesnet_track.graph.text.write import as_plain
 from bayesnet_track.journal.blocks import Block, Blocks
 from bayesnet_track.journal.codec import event_name
-from bayesnet_track.journal.events.cameras import CameraKnocked, ClockLearnt
+from bayesnet_track.journal.events.cameras import CameraKnocked, CamerasSwitched, ClockLearnt
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.joins import Joined, Parted
 from bayesnet_track.journal.events.lives import (
@@ -183,7 +183,7 @@ def _sort(event: Event) -> str:
         return "life"
     if isinstance(event, StatusChanged | SceneCut):
         return "status"
-    return "camera" if isinstance(event, CameraKnocked | ClockLearnt) else "note"
+    return "camera" if isinstance(event, CameraKnocked | CamerasSwitched | ClockLearnt) else "note"
 
 
 def plates(graph: CheckedGraph, costs_ms: Mapping[str, float]) -> dict[str, dict[str, Any]]:

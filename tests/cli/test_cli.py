@@ -681,7 +681,7 @@ MISTAKES = {
         "state, birth, merge_duplicates, death, reidentify, existence, identity, associate, nodes\n"
         "  1 | bayesnet: 1\n    | ^\n"
         "{wrong}/bad.yaml:3:1: graph: unknown key 'targts'; allowed: bayesnet, name, about, constants, "
-        "inputs, cameras, targets, joins, queries; nearest: targets\n  3 | targts: {{}}\n    | ^",
+        "inputs, cameras, adapt, targets, joins, queries; nearest: targets\n  3 | targts: {{}}\n    | ^",
     ),
     # a source, or a run, that cannot be read
     "run general --source {wrong}/nothing --out {out} --init 1,2,3,4": (

@@ -497,8 +497,10 @@ def everything() -> dict[str, Any]:
             "south": {
                 "calibration": "south.yaml",
                 "clock": {"offset_s": {"sd": 0.2}, "rate": {"sd": 1e-5}},
+                "cost": 2.0,
             },
         },
+        "adapt": {"cost_per_step": 1.0, "undetected_m": 2.0},
         "targets": {
             "t": {"nodes": nodes, **life},
             "walker": {

@@ -11,11 +11,11 @@ import pytest
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.motion.models import make_motion
 from bayesnet_track.belief.particles.belief import ParticleFilter
+from bayesnet_track.engine.joining import log_prior_factor, log_seen
 from bayesnet_track.graph import spec
 from bayesnet_track.graph.expressions.evaluate import log_values
 from bayesnet_track.graph.expressions.parse import parse
 from bayesnet_track.inference.compile import describe_plan
-from bayesnet_track.inference.factors import log_prior_factor, log_seen
 from bayesnet_track.inference.messages import evaluate, without
 from bayesnet_track.journal.events.beliefs import DegenerateBelief
 from bayesnet_track.journal.events.faults import FactorFlawed, FlawEnded, MotionFlawed

@@ -19,7 +19,7 @@ from bayesnet_track.journal.events.beliefs import (
     Reappeared,
     SecondPass,
 )
-from bayesnet_track.journal.events.cameras import CameraKnocked, ClockLearnt
+from bayesnet_track.journal.events.cameras import CameraKnocked, CamerasSwitched, ClockLearnt
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.events.faults import (
     AgentMissed,
@@ -610,6 +610,19 @@ GOLDEN = [
         "frame 820: camera north is 14 px off since frame 819 (+12 px across, -7 px down, ± 2.6 px): 4 of 4 "
         "targets were so far off there and in no other camera (chi-square 57); its bias is widened and "
         "learnt anew, unless any one target had made up half of it",
+    ),
+    (
+        CamerasSwitched(12, ("north",), ("east",), 5, 0.03, 0.09, 0.036, 0.31, "south", 0.05, 0.712),
+        "frame 12: camera north on, east off: expected mean UD of 5 targets 0.03 m² with it, 0.09 without; "
+        "next south: 0.05; unless south cost at most 0.712",
+    ),
+    (
+        CamerasSwitched(13, ("north", "south"), ("east",), 1, 0.02, 0.09, 0.036, 0.31, "", 0.02, 0.0),
+        "frame 13: cameras north, south on, east off: expected mean UD 0.02 m² with them, 0.09 without",
+    ),
+    (
+        CamerasSwitched(14, ("north",), (), 0, 0.0, 0.0, 0.42, 0.2, "south", 0.0, 0.9),
+        "frame 14: camera north on: 0.42 undetected targets are expected; unless south cost at most 0.9",
     ),
     (
         DetectorFailed(4, "motion", "raised ValueError: no", 14),

@@ -103,11 +103,14 @@ def test_a_crowd_is_the_same_in_any_order_of_arrival(seed):
     assert len(crowd_in_order()) == len(shuffled)
 
 
+@pytest.mark.parametrize("cost", [None, 0.7])
 @pytest.mark.parametrize("learnt", [{}, {"bias_px": {"sd": 5}, "clock": {"offset_s": {"sd": 0.5}}}])
-def test_cameras_that_come_apart_are_one_step(tmp_path, learnt):
+def test_cameras_that_come_apart_are_one_step(tmp_path, learnt, cost):
     path, arrivals = write_graph(tmp_path), room()
     graph = json.loads(path.read_text())
     graph["cameras"]["east"] |= learnt
+    if cost is not None:  # the choice is made anew with what comes late
+        graph["adapt"] = {"cost_per_step": cost}
     path.write_text(json.dumps(graph))
     together: dict[float, dict] = {}
     for time_s, detections in arrivals:

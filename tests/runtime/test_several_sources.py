@@ -227,8 +227,10 @@ def outputs_of(run):
     return {path.name: path.read_bytes() for path in run.iterdir() if path.name not in own and path.is_file()}
 
 
-@pytest.mark.parametrize("stop_after", [1, 7, COUNT - 1])
-def test_a_run_that_was_broken_off_goes_on_with_equal_bytes(room, tmp_path, stop_after):
+@pytest.mark.parametrize(("stop_after", "cost"), [(1, None), (7, None), (7, 0.5), (COUNT - 1, 1)])
+def test_a_run_that_was_broken_off_goes_on_with_equal_bytes(room, tmp_path, stop_after, cost):
+    if cost is not None:
+        room.write_text(json.dumps({**json.loads(room.read_text()), "adapt": {"cost_per_step": cost}}))
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     for _ in track(room, None, detections=detections_in(room), out=whole, tracks_csv=True):
         pass

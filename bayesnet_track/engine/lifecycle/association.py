@@ -1,9 +1,8 @@
 """Give targets their detections before they are weighed, for plates whose agents measure by them.
 
 The detectors look, every target's belief is predicted, and the targets of a plate share its detections out:
-as many as can be, the best for all together by where each target is expected and, where the agent's
-`appearance` asks for it, by what the target looks like. What nobody gets is left to the life of targets
-(`track_management`). Targets are columns here, whether they are rows of a table or an object each.
+as many as can be, the best for all together by where each is expected and, with `appearance`, by what it
+looks like. What nobody gets is left to the life of targets (`track_management`). Targets are columns here.
 """
 
 from __future__ import annotations
@@ -91,8 +90,7 @@ class Associated:
 
     Attributes:
         found: plate that looked -> its detections in the image of each camera, the best first.
-        owners: plate whose agents measure by detections -> (N,) for each of its detections the target that it
-            was given to, or `TENTATIVE`.
+        owners: plate whose agents measure by detections -> (N,) the target of each, or `TENTATIVE`.
         targets: every live target, the references of such agents with what they were given.
         history: as it was, with the detectors' states after the look, and tentative tracks after the frame.
         events: detectors that failed, and cameras that were knocked.
@@ -213,9 +211,8 @@ class Several:
         if waiting:
             tentative = advance_tentative(compiled, waiting, updated, assigned, detections is not None)
             if rule.label is not None:
-                whose = [
-                    sightings.labels[k] if k != UNASSIGNED else "" for k in owner[-len(waiting) :].tolist()
-                ]
+                waiting_owners = owner[-len(waiting) :].tolist()
+                whose = [sightings.labels[k] if k != UNASSIGNED else "" for k in waiting_owners]
                 tentative = label_tentative(waiting, tentative, rule.label.log(whose))
             history = evolve(history, candidates={**history.candidates, compiled.plate.name: tentative})
         is_given, count, rows = owner != UNASSIGNED, self.count, None
@@ -244,25 +241,28 @@ class Several:
             states[target] = remember_detections(state, agent, updated.observed[row], refiltered.get(row))
         return SharedDetections(rows, states, name_owners(owner, names, len(sightings.boxes)), history)
 
+    def expect(self) -> Crowd:
+        """The targets as they are expected in the frame, before a sensor looks."""
+        tracks, expecting = self._tracks(), predictor(self.work, self.compiled)
+        mean, covariance = expecting(tracks.mean, tracks.covariance)
+        modes = self._in_modes(expecting.elapsed)
+        for row, mixture in modes.items():
+            mean[row], covariance[row] = mixture.moments
+        return Crowd(mean, covariance, self._existence(), self.names, self._log_looks, modes)
+
     def associate_marginal(self, history: TrackHistory, looks: Mapping[str, Found]) -> SharedDetections:
         """Share what sensors saw by probability among targets that exist with one and unconfirmed tracks.
 
-        `looks` has the sensors that looked. They are taken one after the other, each with what those before
-        it have told.
+        `looks` has the sensors that looked, taken one after the other, each with what those before it told.
         """
         compiled, frames, plate = self.compiled, self.work.cache.frames, self.compiled.plate.name
         rules = {agent: rule for agent in compiled.sensors if (rule := CrowdRule.of(compiled, agent))}
         first, *_, last_agent = (*rules, *rules)
-        tracks = self._tracks()
-        expecting = predictor(self.work, compiled)
-        mean, covariance = expecting(tracks.mean, tracks.covariance)
-        cameras = history.watches.get(plate, {}), errors_at(self.work, history)
-        watched = Watched.watch(compiled, self.work.frame.index, cameras, looks, (tuple(self.names), mean))
-        mean, covariance = watched.move(mean, covariance)
-        mixtures = self._in_modes(expecting.elapsed)
-        for row, mixture in mixtures.items():
-            mean[row], covariance[row] = mixture.moments
-        crowd = Crowd(mean, covariance, self._existence(), self.names, self._log_looks, mixtures)
+        crowd, cameras = self.expect(), (history.watches.get(plate, {}), errors_at(self.work, history))
+        targets = tuple(self.names), crowd.mean
+        watched = Watched.watch(compiled, self.work.frame.index, cameras, looks, targets)
+        mean, covariance = watched.move(*crowd.moments)
+        crowd = evolve(crowd, mean=mean, covariance=covariance)
         no_tracks = DetectionModel(UnconfirmedTracks.none(mean.shape[1]))
         detection_model = watched.move_tracks(history.detection_models.get(plate) or no_tracks)
         seen_first = looks.get(first)

@@ -162,26 +162,9 @@ def associate_marginal(
 ) -> MarginalAssociation:
     """Shares of a sensor's detections that each target is given, and the unconfirmed tracks after it."""
     detection_model, unconfirmed = rule.sensor.learn(detection_model, detections), detection_model.unconfirmed
-    all_of = evolve(
-        crowd,
-        mean=np.concatenate([crowd.mean, unconfirmed.mean]),
-        covariance=np.concatenate([crowd.covariance, unconfirmed.covariance]),
-        existence=np.concatenate([crowd.existence, unconfirmed.existence]),
-        values=unconfirmed.values,
-    )
-    presence = detection_model.known.presence.extend(_as_seen_by(rule, unconfirmed.presence))
+    all_of, weights, cover = expect_detections(rule, crowd, detection_model)
     image = frame.of(rule.camera) or frame
     settings, area = rule.existence, float(image.width * image.height)
-    chain, cover = detection_model.chain(settings), rule.sensor.cover(all_of.mean, all_of.existence)
-    presence = expect_cover(presence, cover, detection_model.share_hidden(settings))
-    visible = np.ones(len(cover))
-    for row, expected in crowd.modes.items():
-        visible[row] = expected.visible
-    if rule.camera:
-        visible *= rule.sensor.in_image(all_of.mean, all_of.covariance)
-    weights = Weights.of(all_of.existence, presence, chain, visible)
-    if not rule.is_first:  # a false alarm is one of the first sensor
-        weights.detection[:, 3:] = 0.0
     nearness = rule.sensor.near(crowd.mean, crowd.existence, detections, area)
     begins = detection_model.begin(settings, *nearness)
     if not rule.is_first:
@@ -202,6 +185,36 @@ def associate_marginal(
     unconfirmed = unconfirmed.extend(begin_unconfirmed(rule, begins, detections, shared.free, frame))
     model = evolve(detection_model, unconfirmed=unconfirmed, known=presences)
     return _of_targets(pairs, shared, count, prune(rule, model))
+
+
+def expect_detections(
+    rule: CrowdRule, crowd: Crowd, detection_model: DetectionModel
+) -> tuple[Crowd, Weights, Floats]:
+    """Targets and unconfirmed tracks before a sensor looks.
+
+    They come together as one crowd of N, with the weights of their states and detections, and how probable it
+    is that another one covers each, (N,).
+    """
+    unconfirmed, settings = detection_model.unconfirmed, rule.existence
+    all_of = evolve(
+        crowd,
+        mean=np.concatenate([crowd.mean, unconfirmed.mean]),
+        covariance=np.concatenate([crowd.covariance, unconfirmed.covariance]),
+        existence=np.concatenate([crowd.existence, unconfirmed.existence]),
+        values=unconfirmed.values,
+    )
+    presence = detection_model.known.presence.extend(_as_seen_by(rule, unconfirmed.presence))
+    chain, cover = detection_model.chain(settings), rule.sensor.cover(all_of.mean, all_of.existence)
+    presence = expect_cover(presence, cover, detection_model.share_hidden(settings))
+    visible = np.ones(len(cover))
+    for row, expected in crowd.modes.items():
+        visible[row] = expected.visible
+    if rule.camera:
+        visible *= rule.sensor.in_image(all_of.mean, all_of.covariance)
+    weights = Weights.of(all_of.existence, presence, chain, visible)
+    if not rule.is_first:  # a false alarm is one of the first sensor
+        weights.detection[:, 3:] = 0.0
+    return all_of, weights, cover
 
 
 def _as_seen_by(rule: CrowdRule, presence: Presence) -> Presence:

@@ -177,10 +177,32 @@ def _has_clock(plate: Plate, camera: str) -> bool:
     return camera in plate.sources and plate.sources[camera].clock is not None
 
 
+def cameras_can_be_switched(spec: GraphSpec, positions: Positions) -> Iterator[GraphMessage]:
+    """Cameras are switched where several see targets that have an existence; else they have no cost."""
+    costs = [name for name, source in spec.cameras.items() if "cost" in source.model_fields_set]
+    if spec.adapt is None:
+        for name in costs:
+            fault = f"cost of camera {name!r}, and all cameras are on"
+            yield positions.message(
+                ("cameras", name, "cost"), fault, "adapt: {cost_per_step: ..}, or no cost", on_key=True
+            )
+        return
+    nodes = [node for target in spec.targets.values() for node in target.nodes.values()]
+    viewed = {name for node in nodes if isinstance(node, InferenceNode) for name in node.seen_by}
+    if len(viewed) < 2:
+        fault = f"adapt of cameras, and views by {', '.join(sorted(viewed)) or 'none'}"
+        yield positions.message(("adapt",), fault, "views by two cameras or more", on_key=True)
+    for plate, target in spec.targets.items():
+        if target.is_ground and target.existence is None:
+            fault = f"adapt of cameras, and no probability that a target of {plate} exists"
+            yield positions.message(("targets", plate), fault, "existence: {}", on_key=True)
+
+
 SEVERAL_GRAPH_CHECKS: tuple[GraphCheck, ...] = (
     lists_name_cameras,
     cameras_are_different,
     first_clock_is_that_of_the_run,
+    cameras_can_be_switched,
 )
 
 SEVERAL_CHECKS: tuple[Check, ...] = (several_cameras_have_detections, clocks_can_be_learnt)

@@ -95,10 +95,36 @@ class CameraSource(Model):
         "that of the run; default: it is that of the first camera",
     )
 
+    cost: Positive = Field(
+        default=1.0, description="declared cost of one of its frames, in any unit, where cameras are switched"
+    )
+
     @property
     def key(self) -> str:
         """Name of the camera and its file: ``FILE``, or ``FILE#NAME``."""
         return self.calibration if self.name is None else f"{self.calibration}#{self.name}"
+
+
+class AdaptCameras(Model):
+    """Cameras are switched step by step: on are those of the largest expected gain per declared cost.
+
+    A camera that is off is not looked at. The gain is the expected fall of the root of UD, m, summed over
+    targets, and `undetected_m` for each that is expected to be detected for the first time.
+
+    Example::
+
+        adapt: {cost_per_step: 1}
+    """
+
+    cost_per_step: Positive = Field(
+        description="declared cost that a step may take, the sum of `cost` of its cameras; what is not spent "
+        "is saved, up to twice that of the most expensive camera"
+    )
+    undetected_m: Positive = Field(
+        default=1.0,
+        description="root of the UD that a target which no camera has detected yet counts as, m; no target "
+        "counts as more",
+    )
 
 
 class Size(Model):

@@ -1,4 +1,4 @@
-"""Events of cameras: what was learnt of their clocks, and that one was knocked."""
+"""Events of cameras: what was learnt of their clocks, that one was knocked, which ones are on."""
 
 from __future__ import annotations
 
@@ -70,3 +70,54 @@ class CameraKnocked:
             f"(chi-square {self.chi_square:.0f}); its bias is widened and learnt anew, "
             "unless any one target had made up half of it"
         )
+
+
+@dataclass(frozen=True)
+class CamerasSwitched:
+    """Other cameras are on than when one was on last.
+
+    Attributes:
+        frame: the step.
+        cameras: cameras that are on, the best first.
+        switched_off: cameras that no longer are.
+        targets: number of targets.
+        ud_m2: their mean UD, as it is expected with the cameras on.
+        without_m2: the same with none on.
+        undetected: expected number of targets that no camera has detected yet.
+        gain_m: expected gain of the last camera that is on.
+        runner_up: the camera that was next to that one; "" where there is none.
+        runner_up_m2: mean UD as it is expected with that one in its place.
+        runner_up_cost: declared cost up to which the runner-up would be on in its place.
+    """
+
+    frame: int
+    cameras: tuple[str, ...]
+    switched_off: tuple[str, ...]
+    targets: int
+    ud_m2: float
+    without_m2: float
+    undetected: float
+    gain_m: float
+    runner_up: str
+    runner_up_m2: float
+    runner_up_cost: float
+
+    def describe(self) -> str:
+        """The sentence of the event, without its frame."""
+        is_plural = len(self.cameras) > 1
+        sentence = f"camera{'s' * is_plural} {', '.join(self.cameras)} on"
+        if self.switched_off:
+            sentence += f", {', '.join(self.switched_off)} off"
+        if self.targets:
+            those = f"of {self.targets} targets " if self.targets > 1 else ""
+            sentence += (
+                f": expected mean UD {those}{self.ud_m2:.3g} m² with {'them' if is_plural else 'it'}, "
+                f"{self.without_m2:.3g} without"
+            )
+        else:
+            sentence += f": {self.undetected:.2g} undetected targets are expected"
+        if not self.runner_up:
+            return sentence
+        if self.targets:
+            sentence += f"; next {self.runner_up}: {self.runner_up_m2:.3g}"
+        return f"{sentence}; unless {self.runner_up} cost at most {self.runner_up_cost:.3g}"

@@ -48,6 +48,7 @@ Event = (
     | beliefs.QueryPassed
     | cameras.ClockLearnt
     | cameras.CameraKnocked
+    | cameras.CamerasSwitched
     | switches.ReferenceGuarded
     | statuses.IdentityDoubtful
     | statuses.DistractorSeen

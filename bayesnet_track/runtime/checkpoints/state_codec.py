@@ -21,7 +21,13 @@ from bayesnet_track.adapt.cameras import CameraErrors, ClockReading, Offsets, Wa
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.identities import Entangled, PlateIdentities
 from bayesnet_track.adapt.joins import CarriedHypotheses, JoinMemory, Level, PairMemory
-from bayesnet_track.adapt.lifecycle import AppearanceMemory, Candidate, TrackHistory, TrackRecord
+from bayesnet_track.adapt.lifecycle import (
+    AppearanceMemory,
+    CameraMemory,
+    Candidate,
+    TrackHistory,
+    TrackRecord,
+)
 from bayesnet_track.adapt.meetings import Meeting, SensorRates
 from bayesnet_track.adapt.memory import Baseline, InformationRate, Layout, RuleMemory
 from bayesnet_track.adapt.presence import Known, Presence
@@ -101,6 +107,7 @@ CLASSES: tuple[type, ...] = (
     ClockReading,
     Watch,
     Offsets,
+    CameraMemory,
 )
 """Every class of which the state between frames is made."""
 
