@@ -365,6 +365,7 @@ def test_one_that_stopped_itself_is_not_dropped_as_well(drive):
     assert "a" not in made.of(Deactivated)[0].index
 
 
+@pytest.mark.slow
 @given(
     frames=st.integers(1, 12),
     rest=st.integers(1, 20),
@@ -520,6 +521,7 @@ def test_deactivation_turns_at_turning(drive, uds, level, frames, unit):
     assert run(math.nextafter(made[0].cause.turning, math.inf))[0].frame == made[0].frame
 
 
+@pytest.mark.slow
 @given(uds=UDS, level=LEVELS, frames=st.integers(1, 4), company=st.integers(1, 20))
 def test_a_self_stop_turns_at_turning(drive, uds, level, frames, company):
     """Also when it had to wait for another agent to be there."""
@@ -582,6 +584,7 @@ def test_a_loss_by_fit_turns_at_turning(drive, data, uds, frames):
     assert run(math.nextafter(turning, 1.0))[0].frame == first.frame
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 1000))
 def test_any_sequence_keeps_the_promises_of_the_rules(drive, seed):
     """At least one agent of each node stays; nobody rests or is out and works; on and off alternate."""

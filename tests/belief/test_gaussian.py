@@ -290,6 +290,7 @@ def test_errors_are_as_large_as_the_covariance_says(linear, stream_of):
         assert low < sum(values) < high
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gate", [0.9, 0.99])
 def test_the_gate_turns_away_its_share_of_right_measurements(gate, motion_of):
     """Of 3000 independent measurements; binomial, 4 sds."""

@@ -183,6 +183,7 @@ def test_mass_is_kept_inside_the_image(kind, dt, motion_of, stream_of):
             assert values[0] >= -1e-9 and values[-1] <= size - 1 + 1e-9
 
 
+@pytest.mark.slow
 def test_the_window_follows_a_fast_target(motion_of, stream_of):
     """20 frames at 7 px per frame, through some 4 windows of 32 px."""
     motion = Confined(motion_of("constant_velocity", **NOISE["constant_velocity"]), 640, 480)

@@ -140,6 +140,7 @@ def test_the_evidence_is_unbiased(method, frame_of, stream_of):
     check_mean(found, np.exp(frame.log_evidence))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["second_pass", "parents"])
 def test_the_evidence_is_unbiased_when_the_first_pass_decides_on_the_second(method, frame_of, stream_of):
     frame, fired = frame_of(), []

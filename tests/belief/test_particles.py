@@ -104,6 +104,7 @@ def test_every_scheme_agrees_with_kalman_when_triggered_by_ess(scheme, motion_of
     check_against_kalman(settings, motion_of("constant_velocity"), stream_of)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

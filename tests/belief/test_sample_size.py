@@ -133,6 +133,7 @@ def enlarge(rng, crossed):
     return np.mean(means)
 
 
+@pytest.mark.slow
 def test_a_half_that_decided_on_its_own_size_would_be_biased():
     """Why the halves are crossed: the same arithmetic is exact with it, and too large without."""
     exact = np.sqrt(16 / 116) * np.exp(-0.5 * 25**2 / 116)
@@ -143,6 +144,7 @@ def test_a_half_that_decided_on_its_own_size_would_be_biased():
     assert own.mean() - 1 > 4 * own.std() / np.sqrt(RUNS)
 
 
+@pytest.mark.slow
 def test_the_posterior_mean_agrees_with_kalman(walk, stream_of):
     """Means of 60 runs; the exact posterior after each frame by the same recursion."""
     columns, mean, variance = [160.0, 190.0, 200.0, 200.0], BOX[0], 0.0

@@ -90,6 +90,7 @@ BAD_BOXES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", BAD_BOXES)
 def test_a_target_that_cannot_be_tracked_stops_no_other_and_is_named_until_it_is_corrected(
     video, tmp_path, capsys, size

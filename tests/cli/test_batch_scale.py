@@ -79,6 +79,7 @@ def test_finished_runs_are_not_opened_again(videos, here, monkeypatch, capsys):
     assert (videos / "out" / "results.csv").read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["removed", "touched", "unfinished"])
 def test_a_run_that_is_not_as_it_was_is_looked_at_again(videos, here, change):
     batch(videos)
@@ -94,6 +95,7 @@ def test_a_run_that_is_not_as_it_was_is_looked_at_again(videos, here, change):
     assert batch(videos) == 0 and len(here.done) == len(NAMES) + 1
 
 
+@pytest.mark.slow
 def test_other_requests_are_not_taken_for_what_is_finished(videos, here, capsys):
     batch(videos)
     assert batch(videos, "--end", "2", "--json") == 5
@@ -101,6 +103,7 @@ def test_other_requests_are_not_taken_for_what_is_finished(videos, here, capsys)
     assert told["failed"] == 5 and "asked for otherwise: end none, now 2" in told["runs"][0]["reason"]
 
 
+@pytest.mark.slow
 def test_changed_ground_truth_is_scored_with_again(videos, here):
     truth = videos / "truth.txt"
     rows = [",".join(f"{value:g}" for value in box) for box in SCENE.truth[:7]]
@@ -137,6 +140,7 @@ def test_a_batch_that_is_killed_loses_no_row(videos, tmp_path):
     assert results().todo == jobs[2:]
 
 
+@pytest.mark.slow
 def test_parts_share_a_folder_and_the_whole_finds_them_done(videos, here):
     for number in (1, 2):
         assert batch(videos, "--part", f"{number}/2", "--quiet") == 0

@@ -205,6 +205,7 @@ def test_the_page_has_the_table():
     assert "\n".join(rows) in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_command_reads_a_run_and_what_it_says_is_a_command(tmp_path, capsys):
     out = str(tmp_path / "run")
     assert (

@@ -45,6 +45,7 @@ def data(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_graph_is_calibrated_and_keeps_its_comments(data, capsys):
     out = data / "fitted.yaml"
     what = "score,localization_error,lost,temperature"
@@ -124,6 +125,7 @@ def test_levels_are_fitted_to_the_score_that_the_graph_has(data, capsys):
     assert "2 % of the frames on target score below" in out.read_text()
 
 
+@pytest.mark.slow
 def test_the_features_of_the_score_are_those_that_it_has(data, capsys):
     """To fit them again must not leave the verifiers out."""
     verifiers = "{first: {agent: intensity, learn_rate: 0, coefficient: 1}, rest: {agent: texture}}"

@@ -32,6 +32,7 @@ def place(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("file", "tracks"), [("one.txt", "1 track"), ("many.txt", "2 tracks")])
 def test_the_noise_is_written_into_the_graph(place, file, tracks, capsys):
     out = place / "fitted.yaml"
@@ -45,6 +46,7 @@ def test_the_noise_is_written_into_the_graph(place, file, tracks, capsys):
     assert 6.5 < sd.x < 9.5 and 3.2 < sd.y < 4.8
 
 
+@pytest.mark.slow
 def test_a_bare_motion_gets_its_value(place):
     (place / "g.yaml").write_text(GRAPH.replace("{random_walk: {sd_px: {x: 40, y: 4}}}", "constant_velocity"))
     call = ["fit", str(place / "g.yaml"), "--motion", "--truth", str(place / "one.txt")]

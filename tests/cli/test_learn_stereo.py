@@ -57,6 +57,7 @@ def true_depths(scene: Scene) -> np.ndarray:
     return np.asarray(scene.stereo.depths_m[1])[FRAMES.start : FRAMES.stop : FRAMES.step]
 
 
+@pytest.mark.slow
 def test_with_true_depth_it_is_the_variance_of_the_walk(
     work: Scene, capsys: pytest.CaptureFixture[str]
 ) -> None:

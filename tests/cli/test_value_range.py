@@ -75,6 +75,7 @@ def test_without_a_range_the_lost_levels_are_said(folders, tmp_path, capsys):
     assert "in 8 bits; give the range that counts: --range 80" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_reads_the_source_again_reads_it_in_the_same_range(folders, tmp_path, capsys):
     out = tmp_path / "a"
     assert run(folders[0], out, "--range", f"{LOW},{HIGH}", "--keep-beliefs", "--video") == 0

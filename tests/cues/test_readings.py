@@ -170,6 +170,7 @@ def truth_of(source, index):
     return np.array([x + w / 2, y + h / 2])
 
 
+@pytest.mark.slow
 def test_a_radar_holds_a_ball_that_no_camera_sees(tmp_path):
     source, rng = SceneSource.named("occluder_long", 0, 45), np.random.default_rng(1)
     rows = ["frame,range,bearing"]

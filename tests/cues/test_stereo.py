@@ -28,6 +28,7 @@ def pair(room, index):
     return FramePair(room[1][index], None)
 
 
+@pytest.mark.slow
 def test_the_features_are_those_of_the_person(ask, room):
     """0.5 m wide, 1.7 m high, the lowest 0.1 m cut off with the floor; windows reach 3 px, 4 cm, further."""
     asked = ask("stereo", **STANDING)

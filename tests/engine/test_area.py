@@ -40,6 +40,7 @@ def ids_of(path, ways, cameras=CAMERAS):
     return live, owners
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cameras", [CAMERAS, CAMERAS[:1]])
 def test_what_stands_outside_is_no_target(tmp_path, cameras):
     ways = [walk(20, (-1.0, 9.0), (0.3, 0.0)), walk(20, (2.5, 11.0), (0.0, 0.0))]
@@ -50,6 +51,7 @@ def test_what_stands_outside_is_no_target(tmp_path, cameras):
     assert len(everywhere[-1]) == 2
 
 
+@pytest.mark.slow
 def test_one_who_comes_in_becomes_a_target_and_one_who_leaves_ends(tmp_path):
     way = walk(50, (-4.5, 10.0), (1.6, 0.0))  # in at x = -3 in frame 10, out at x = 1 in frame 35
     live, _ = ids_of(graph_with(tmp_path), [way])

@@ -116,6 +116,7 @@ def test_it_is_told_when_another_value_becomes_the_most_probable_one():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("life", ["assigned", "marginal"])
 def test_two_targets_that_meet_keep_their_identities_by_their_labels(life):
     def boxes(frame):  # both turn round where they meet

@@ -167,6 +167,7 @@ def test_errors_and_targets_are_as_in_the_joint_gaussian(tmp_path, clock, bias):
             assert abs(joint.mean[at] - true) < 4.0 * np.sqrt(joint.covariance[at, at])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.3, -0.15])
 def test_the_offset_is_learnt_and_said(tmp_path, offset):
     tracker, rng = (
@@ -187,6 +188,7 @@ def test_the_offset_is_learnt_and_said(tmp_path, offset):
     assert f" s {way} (before " in said[-1].describe()
 
 
+@pytest.mark.slow
 def test_people_stay_one_each_where_a_camera_is_half_a_second_late(tmp_path):
     """Taken for right, the late camera starts people of its own, 0.4 m behind; learnt, none."""
     numbers = {}
@@ -215,6 +217,7 @@ def test_a_clock_says_nothing_of_what_stands(tmp_path):
     assert abs(target.state["view.east.clock_s"]) < 0.3 * SD
 
 
+@pytest.mark.slow
 def test_a_start_by_a_late_camera_stands_where_it_is_now(tmp_path):
     """Once the clock is known, who comes in by the late camera alone starts by its offset further on."""
     tracker, rng = (
@@ -234,6 +237,7 @@ def test_a_start_by_a_late_camera_stands_where_it_is_now(tmp_path):
     assert abs(new.state["y_m"] - (way[19][1] - 0.36)) > abs(new.state["y_m"] - way[19][1])
 
 
+@pytest.mark.slow
 def test_clocks_are_stored_with_the_state(tmp_path):
     """A tracker that is saved and loaded between two steps learns on as one that went on."""
     path, rng = graph_with(tmp_path, {"offset_s": {"sd": SD}}), np.random.default_rng(3)

@@ -185,6 +185,7 @@ def _doubts_after_the_crossing(seed):
     return count == 1 and longest_run(wrong) <= 5
 
 
+@pytest.mark.slow
 def test_general_is_sure_again_soon_after_black_frames():
     """The score forgets within a few frames that nothing fitted."""
     scene = make_scene("gray_square", seed=0)

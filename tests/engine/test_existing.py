@@ -96,6 +96,7 @@ def events_of(done, kind):
     return [event for one in done for event in one.events if isinstance(event, kind)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("associate", ["marginal", "assignment"])
 def test_targets_have_the_same_results_as_rows_and_as_objects(associate, found, monkeypatch, unlike):
     own = jpda(associate=associate)
@@ -170,6 +171,7 @@ def test_a_target_that_another_covers_is_kept_through_misses(graph):
     assert in_front < 0.1 and behind > 0.8
 
 
+@pytest.mark.slow
 def test_second_boxes_on_a_person_become_targets_less_often_once_they_are_known():
     """Runs of five frames, twelve frames apart, at another place of the person each time."""
     rng, says = np.random.default_rng(5), {}

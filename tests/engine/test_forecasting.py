@@ -80,6 +80,7 @@ def test_regions_hold_what_they_say(scene):
             assert np.abs(inside.mean(axis=0) - share).max() < 4 * np.sqrt(share * (1 - share) / count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("graph", ["general", "grid_displacement", "kalman_ball"])
 def test_looking_ahead_changes_nothing(graph, scene):
     images = list(scene.frames)[:4]

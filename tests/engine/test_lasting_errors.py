@@ -201,6 +201,7 @@ def test_targets_are_as_in_the_joint_gaussian_of_camera_and_targets(tmp_path):
     assert np.linalg.svd(between, compute_uv=False)[0] > 1e-3
 
 
+@pytest.mark.slow
 def test_a_standing_target_stays_as_uncertain_as_its_camera(tmp_path):
     """The sd of the foot point along x cannot fall below that of the bias, for however long it stands."""
     (box,) = boxes_of(np.array([[0.5, 10.0]]))

@@ -57,6 +57,7 @@ def followed(request, scene):
     return lines, events
 
 
+@pytest.mark.slow
 def test_the_target_is_probably_hidden_while_the_pillar_hides_it(followed, scene):
     lines, _ = followed
     hidden = np.array([line.hidden for line in lines])
@@ -147,6 +148,7 @@ def test_probabilities_are_never_zero():
     assert state.changes(3, "1") == ()
 
 
+@pytest.mark.slow
 def test_a_part_tells_of_being_hidden_what_its_whole_would(tmp_path):
     """A part off by sd 1.5 and seen with sd 2, as its whole seen with sd 2.5, and as Bayes' rule."""
     rng = np.random.default_rng(3)

@@ -109,6 +109,7 @@ def test_three_levels_have_the_posterior_of_a_kalman_filter_over_the_joint_state
         np.testing.assert_allclose(spread, sds, rtol=0.1, err_msg=str(frame))
 
 
+@pytest.mark.slow
 def test_a_deviation_is_remembered_while_the_part_is_hidden(fakes):
     """Drawn anew in each frame, a hidden badge is back in its place at once; here it is still away."""
     remembered, anew = (played(fakes, 3_000, moves)[5].metrics[0].parts["badge"] for moves in (True, False))

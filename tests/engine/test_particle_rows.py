@@ -72,6 +72,7 @@ def known(state):
     return keys, references, [array.tobytes() for array in arrays], state.time, state.plan.active
 
 
+@pytest.mark.slow
 def test_a_target_has_the_same_bytes_in_a_group_and_alone():
     """So is what the rules remember, also of a target that looks lost, and of one that is found again."""
     frames = [*range(1, 10), *range(40, 44), *range(76, 80)]  # the image repeats after 64 frames

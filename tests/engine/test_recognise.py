@@ -115,6 +115,7 @@ def test_a_target_is_taken_once_and_what_is_left_is_new():
     assert second.recognition.probability == pytest.approx(1 / 3) and second.recognition.rival == "new"
 
 
+@pytest.mark.slow
 def test_what_is_not_contested_turns_at_its_probability():
     """Any odds of three targets in three detections, matched again at levels beyond each probability."""
     rng, free = np.random.default_rng(0), 0

@@ -224,6 +224,7 @@ def test_one_that_is_switched_off_by_hand_sees_nothing_until_it_is_released(grap
     assert lines[13].ud_px2 > lines[11].ud_px2
 
 
+@pytest.mark.slow
 def test_a_late_frame_changes_nothing_but_what_is_shed(graph, found, unlike):
     inputs = {20: (LateFrame(0, 0.05, 0.04),)}
     assert_alike(outcomes(graph, found, inputs, 24), apart(graph, found, inputs, 24), unlike)
@@ -404,6 +405,7 @@ def test_where_no_agent_knows_looks_they_say_nothing_of_who_a_detection_is(graph
     assert weighed and all(one.agents == () and one.appearance == 0.0 for one in weighed)
 
 
+@pytest.mark.slow
 def test_two_plates_are_a_table_each(found, unlike):
     written = load_graph("kalman_detections").spec.model_dump(exclude_unset=True)
     (plate,) = written["targets"].values()
@@ -427,6 +429,7 @@ def test_two_plates_are_a_table_each(found, unlike):
     assert_alike(rows, apart(graph, two, None, 25), unlike)
 
 
+@pytest.mark.slow
 def test_a_target_whose_looks_cannot_be_learnt_leaves_the_table_alone(graph, found, monkeypatch):
     own, asked = with_nodes(graph, "looks"), []
     engine = steps.make_engine(own, 0, detectors={"detections": FileDetector(found)})

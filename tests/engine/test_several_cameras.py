@@ -169,6 +169,7 @@ def test_a_start_from_one_camera_is_fed_by_the_others(tmp_path):
     assert born[2] < born.get(1, len(places))
 
 
+@pytest.mark.slow
 def test_the_place_is_surer_with_the_camera_that_looks_across(tmp_path):
     sds = {}
     for cameras in (["south"], ["south", "east"]):

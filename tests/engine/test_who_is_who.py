@@ -150,6 +150,7 @@ def recorded(frames: list[Floats], folder: Path, keep_beliefs: bool = False) -> 
     return out
 
 
+@pytest.mark.slow
 def test_the_table_of_tracks_has_the_two_most_probable_identities(tmp_path: Path) -> None:
     out = recorded(ways((24, 36), 1.0), tmp_path)
     with (out / "tracks.csv").open(encoding="utf-8") as file:

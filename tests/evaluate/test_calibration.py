@@ -89,6 +89,7 @@ def test_slack_is_found_from_data_drawn_with_it():
     assert 2.0 / 1.4 < lost_sd < 2.0 * 1.4
 
 
+@pytest.mark.slow
 def test_both_regions_are_right_where_each_video_is_off_by_an_sd_of_its_own():
     """Eight videos on target, some held closely and some loosely: one Gaussian is too wide and too narrow."""
     rng = np.random.default_rng(5)

@@ -114,6 +114,7 @@ def frames(count):
         yield Frame(k, float(k), image)
 
 
+@pytest.mark.slow
 def test_the_correlation_of_agents_in_a_video():
     """Errors of sd 1 px in 119 frames, x and y: 4.5 sds of the estimate, (1 - r^2) / sqrt(238)."""
     count, correlation = 120, 0.6

@@ -206,6 +206,7 @@ def test_gaps_and_several_tracks_are_used():
     assert fitted.frames == 51 - 1 - 10 + 51 - 5 - 1 and one.low < 1.5 * 1.2 and one.high > 1.5 / 1.2
 
 
+@pytest.mark.slow
 def test_what_boxes_do_not_tell_is_said():
     still = np.tile(BOX, (50, 1)) + np.random.default_rng(0).normal(0, 2, (50, 4))
     (one, error) = fit_motion(root_of("{random_walk: {sd_px: {x: 3}}}"), [still]).estimates

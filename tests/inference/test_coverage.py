@@ -82,18 +82,21 @@ def assert_covers(shares, expected, runs):
     assert np.all(np.abs(shares - expected) < allowed), (shares, expected, allowed)
 
 
+@pytest.mark.slow
 def test_a_flat_product_is_overconfident(fakes):
     shares, ratio = coverage(fakes, "flat", 1000)
     assert_covers(shares, [0.34, 0.74], 1000)
     assert 1.4 < ratio < 1.85  # 1.62; squared errors in two dimensions, 1000 runs: sd about 0.06
 
 
+@pytest.mark.slow
 def test_a_pool_covers_nearly_what_it_says(fakes):
     shares, ratio = coverage(fakes, "pool", 1000)
     assert_covers(shares, [0.47, 0.87], 1000)
     assert 0.9 < ratio < 1.25  # 1.06
 
 
+@pytest.mark.slow
 def test_a_learned_pool_covers_what_it_says(fakes):
     """Its Gaussian is the exact marginal of h: of 1000 hypotheses 30 are effective, which costs a point."""
     shares, ratio = coverage(fakes, "learned", 1000)

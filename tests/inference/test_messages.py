@@ -261,6 +261,7 @@ def kernel_case(n=1500):
     return Hypotheses(np.hstack([h, size])), Hypotheses(np.hstack([own, size])), beta.log
 
 
+@pytest.mark.slow
 def test_the_kernel_is_the_integral_whatever_the_prior_weights():
     """Every row is a self-normalised importance sample of p(c | h_i); its delta-method standard error is
     known. Of the rows with at least 30 effective samples 95 % must lie within 4 of them; the form without the

@@ -62,12 +62,14 @@ def test_as_json(run, higher, capsys):
     assert read["totals"]["frames"] == [40.0, 40.0] and read["last_frames"] == [39, 39]
 
 
+@pytest.mark.slow
 def test_nothing_changed_gives_the_same_bytes(run, capsys, tmp_path):
     code, out, _ = run_command(capsys, "run", "--what-if", run, "--quiet", "--out", tmp_path / "again")
     assert code == 0 and "their decisions never diverge" in out
     assert (tmp_path / "again" / "journal.jsonl").read_bytes() == (run / "journal.jsonl").read_bytes()
 
 
+@pytest.mark.slow
 def test_another_seed_and_no_adaptation(run, capsys, tmp_path):
     code, out, _ = run_command(
         capsys, "what-if", run, "--seed", "4", "--no-adaptation", "--quiet", "--out", tmp_path / "always"

@@ -115,6 +115,7 @@ def images(tmp_path):
     return str(folder)
 
 
+@pytest.mark.slow
 def test_looking_runs_nothing(both, graph, capsys):
     assert main(["list"]) == 0
     said = capsys.readouterr().out

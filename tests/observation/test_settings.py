@@ -104,6 +104,7 @@ def options_in_messages(tree: ast.Module) -> Iterator[tuple[int, str]]:
                 yield node.lineno, option
 
 
+@pytest.mark.slow
 def test_no_message_names_an_option_to_a_caller_of_python():
     package = ROOT / "bayesnet_track"
     modules = [*package.rglob("*.py"), *(ROOT / "cues").rglob("*.py")]

@@ -155,6 +155,7 @@ def test_a_long_crowd_has_its_boxes_once_and_every_reader_finds_them(
     assert main(["compare", str(run), str(whole), "--truth", truth]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short_limit")
 @pytest.mark.filterwarnings("ignore:.*more than 40 boxes")
 def test_a_long_crowd_that_was_broken_off_anywhere_ends_with_the_same_files(

@@ -121,6 +121,7 @@ def test_a_frame_more_or_less_leaves_the_draws_of_the_others(graph, times, draws
     assert len(frozenset.union(*plain.values())) == sum(map(len, plain.values()))  # none is used twice
 
 
+@pytest.mark.slow
 def test_the_tracker_and_track_draw_the_same():
     scene = make_scene("two_squares", 0)
     images = list(scene.frames)[:8]

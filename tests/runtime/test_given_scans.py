@@ -59,6 +59,7 @@ def near(places, at):
     return all(min(np.hypot(*(np.array(one) - two)) for one in places) < 8 for two in at)
 
 
+@pytest.mark.slow
 def test_a_run_without_a_source_follows_both_ships(files, capsys):
     graph, rows, folder = files
     assert main(["run", graph, "--detections", rows, "-o", str(folder / "run")]) == 0
@@ -98,6 +99,7 @@ def load_graph_text(text=GRAPH):
     return load_graph(yaml.safe_load(text))
 
 
+@pytest.mark.slow
 def test_a_stored_tracker_goes_on_with_the_same_numbers(tmp_path):
     first = DetectionsTracker(load_graph_text(), fps=1)
     steps = list(looks())

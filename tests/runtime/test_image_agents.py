@@ -87,6 +87,7 @@ def test_an_image_agent_of_the_second_camera_adds_to_detections_of_the_first(tmp
     assert np.hypot(target.state["x_m"] - place[0], target.state["y_m"] - place[1]) < 0.05
 
 
+@pytest.mark.slow
 def test_agents_are_shown_the_frames_of_their_own_camera(tmp_path, calls):
     """Their sizes, numbers and frames before are those of the camera, which has its own rate."""
     run(tmp_path, [witness(calls)], count=12, agents=("witness",))
@@ -99,6 +100,7 @@ def test_agents_are_shown_the_frames_of_their_own_camera(tmp_path, calls):
             np.testing.assert_allclose(box, boxes_of(camera, place_at(number / rate))[0], atol=6.0)
 
 
+@pytest.mark.slow
 def test_a_camera_learns_a_target_when_it_first_sees_most_of_it(tmp_path, calls):
     run(tmp_path, [witness(calls)], count=20, agents=("witness",), walk=LATE)
     seen = [

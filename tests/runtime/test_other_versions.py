@@ -105,6 +105,7 @@ def test_an_unfinished_one_is_refused_too(other: Path, capsys: pytest.CaptureFix
     assert content(other) == before
 
 
+@pytest.mark.slow
 def test_it_is_refused_in_python_and_may_be_overwritten(other: Path) -> None:
     with pytest.raises(JournalError, match="reads format 2: read it with bayesnet-track "):
         open_run(other)

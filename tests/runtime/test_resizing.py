@@ -94,6 +94,7 @@ def assert_doubled(found: FrameMetrics, known: FrameMetrics) -> None:
         assert getattr(found, name) == getattr(known, name)
 
 
+@pytest.mark.slow
 def test_boxes_are_in_pixels_of_the_source_and_all_else_is_that_of_the_smaller_frames(
     small: Path, large: Path
 ) -> None:

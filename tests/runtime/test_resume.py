@@ -95,6 +95,7 @@ def test_what_was_written_after_the_checkpoint_is_written_again(
     assert files(run) == whole
 
 
+@pytest.mark.slow
 def test_switches_of_frames_after_the_checkpoint_come_again(tmp_path: Path) -> None:
     def at_frame_7(frame: int) -> tuple[Toggled, ...]:
         return (Toggled(7, "1", "blobs", False),) if frame == 7 else ()
@@ -113,6 +114,7 @@ def test_switches_of_frames_after_the_checkpoint_come_again(tmp_path: Path) -> N
     assert files(run) == expected
 
 
+@pytest.mark.slow
 def test_switches_still_to_come_outlast_that_it_is_broken_off_again(tmp_path: Path) -> None:
     def at_frame_7(frame: int) -> tuple[Toggled, ...]:
         return (Toggled(7, "1", "blobs", False),) if frame == 7 else ()
@@ -130,6 +132,7 @@ def test_switches_still_to_come_outlast_that_it_is_broken_off_again(tmp_path: Pa
     assert files(run) == expected
 
 
+@pytest.mark.slow
 def test_of_two_switches_of_a_frame_none_is_lost_when_only_one_was_written_again(tmp_path: Path) -> None:
     switches = (Toggled(7, "1", "blobs", False), Toggled(7, "1", "color", False))
 
@@ -159,6 +162,7 @@ def test_a_finished_run_has_no_checkpoint_though_it_went_on_without_any(
     assert files(run) == whole and standing(run).is_finished
 
 
+@pytest.mark.slow
 def test_a_budget_stays_and_what_was_late_is_not_measured_twice(tmp_path: Path) -> None:
     """No frame takes a nanosecond, so every one is late that is measured."""
 
@@ -186,6 +190,7 @@ def test_a_budget_stays_and_what_was_late_is_not_measured_twice(tmp_path: Path) 
         assert (run / name).read_bytes() == (tmp_path / "again" / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_the_video_is_whole(tmp_path: Path) -> None:
     expected = files(begun(tmp_path / "whole", video=True))
     run = begun(tmp_path / "run", 5, video=True)

@@ -104,6 +104,7 @@ def test_it_is_scored_in_metres(room, tmp_path, capsys):
     assert float(scores["idf1"]) > 0.9
 
 
+@pytest.mark.slow
 def test_videos_of_the_cameras(room, tmp_path):
     import cv2
 

@@ -58,6 +58,7 @@ def test_a_late_clock_shows_what_was_before():
     assert np.median(np.hypot(*offsets.T)) < 3.0
 
 
+@pytest.mark.slow
 def test_every_one_is_seen_by_some_camera_most_of_the_time(tmp_path):
     _, detections, truth = write_room(tmp_path)
     assert set(detections) == {"north", "east", "west"}

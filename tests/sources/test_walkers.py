@@ -164,6 +164,7 @@ def test_misses_do_not_depend_on_what_else_is_drawn(crowd):
     assert few == many
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("merging", ["front", "hull"])
 def test_merged_people_are_one_box(crowd, merging):
     settings = DetectorSettings(missed=0, clutter=0, place_px=0, size=0, merging=merging, merge_iou=0.2)

@@ -59,6 +59,7 @@ def test_it_is_held_through_the_occlusion(seeds, lost):
     assert held.count(False) <= lost, held
 
 
+@pytest.mark.slow
 def test_the_log_tells_that_it_was_lost_and_found(tmp_path):
     scene, results, _, _ = play("kalman_ball", 0, out=tmp_path / "run")
     hidden = np.flatnonzero(scene.visible < 1e-9)
@@ -71,6 +72,7 @@ def test_the_log_tells_that_it_was_lost_and_found(tmp_path):
     assert not results[found].targets[0].silent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [

@@ -47,6 +47,7 @@ def test_gray_level_sees_nothing_special_on_hills_of_every_gray(bench):
     assert measured(bench, "gray_level", make_scene("gray_square", 0)).found == 0
 
 
+@pytest.mark.slow
 def test_hues_find_both_squares_and_nothing_else(bench):
     score = measured(bench, "color_backprojection", make_scene("two_squares", 0), hue_deg=30)
     assert score.recall >= 1 - MARGIN and score.precision >= 1 - MARGIN
@@ -65,6 +66,7 @@ def test_a_target_that_is_shown_is_found_again_among_others(bench):
         assert np.hypot(*(found[k].boxes - truth[k])[:, :2].T).min() < 1.0
 
 
+@pytest.mark.slow
 def test_motion_finds_what_moves_and_not_what_stands(bench):
     score = measured(bench, "motion", make_scene("gray_square", 0))
     assert score.recall >= 1 - MARGIN and score.precision >= 1 - MARGIN

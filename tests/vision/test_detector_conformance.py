@@ -166,6 +166,7 @@ def test_a_picture_of_targets_everywhere_does_not_hang_and_stays_within_the_coun
     assert time.process_time() - began < 60.0
 
 
+@pytest.mark.slow
 def test_the_first_frame_is_enough_for_those_that_need_one_frame_only(build, scene, bench):
     found = {name: bench.run(build(name), scene(name, 1)[:1])[0][0] for name in NAMES}
     assert {name for name in NAMES if len(found[name]) == 0} == {"background", "motion"}

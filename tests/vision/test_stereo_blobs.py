@@ -61,6 +61,7 @@ def test_nothing_gives_nothing():
         detect_stereo_blobs(Frame(0, 0.0, np.zeros((9, 9, 3), np.uint8)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["person_stereo", "glass_wall"])
 def test_the_person_is_found_in_every_room(name):
     """Correlation windows make blobs half a window larger on each side: 3 px of 38 x 128."""
@@ -73,6 +74,7 @@ def test_the_person_is_found_in_every_room(name):
             assert abs(found.depths_m[best.argmax()] - scene.stereo.depths_m[-1][frame.index]) < 0.1
 
 
+@pytest.mark.slow
 def test_semi_global_matching_links_the_person_to_the_pane():
     """Thesis Figure 3.19: close to the glass wall the blob is that of both."""
     scene = make_scene("glass_wall", 0)

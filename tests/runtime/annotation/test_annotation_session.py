@@ -150,6 +150,7 @@ def test_append_adds_lines_only(tmp_path):
     assert json.loads(session.path.read_text().splitlines()[-1]) == {"kind": "undo"}
 
 
+@pytest.mark.slow
 def test_frames_come_in_any_order_as_they_were(tmp_path):
     source = SceneSource.named("two_squares", end=60)
     seen = []

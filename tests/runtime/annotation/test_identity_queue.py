@@ -64,6 +64,7 @@ def ask(run: Path, folder: Path, *answers: dict[str, object]) -> int:
     return main(["annotate", "--identities", str(run), "--out", str(folder / "out"), *given])
 
 
+@pytest.mark.slow
 def test_an_exchange_is_asked_about_and_mended(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
