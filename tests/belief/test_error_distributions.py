@@ -135,7 +135,7 @@ WRONG = {
     "{x: '0', y: 2}": "x is '0'; allowed: an sd, a scale and degrees above 0",
     "{x: -2, y: 2}": "x is -2; allowed: a number above 0",
     "{x: 'x +', y: 2}": "the end where the expression goes on",
-    "{x: '2 * laplace(3)', y: 2}": "laplace with 1 argument; allowed: laplace(value, mean, scale)",
+    "{x: '2 * laplace(3)', y: 2}": "laplace inside an expression; allowed: one distribution, or a value",
 }
 
 

@@ -154,6 +154,20 @@ def over_a_run(folder: Path) -> None:
         list(track("general", images(folder / name), (1, 1, 9, 9), out=folder / "run"))
 
 
+def late_ball(folder):
+    """A graph whose sensor is late, so that its beliefs cannot be kept."""
+    (folder / "late.csv").write_text("frame,x\n0,20\n1,20\n", encoding="utf-8")
+    graph = folder / "late.yaml"
+    sensor = f"{{readings: {{file: {folder / 'late.csv'}, sd: {{x: 2}}, delay: 1}}}}"
+    graph.write_text(
+        "bayesnet: 1\nname: late\ntargets:\n  ball:\n    nodes:\n"
+        "      ball: {belief: {gaussian: {filter: extended}}, motion: {constant_velocity: {}}}\n"
+        f"      late: {{parent: ball, agent: {sensor}}}\n",
+        encoding="utf-8",
+    )
+    return str(graph)
+
+
 REFUSED_IN_PYTHON = {
     "network": (
         lambda _: next(track("general", "http://a.b/c.mp4", (1, 1, 5, 5))),
@@ -176,7 +190,7 @@ REFUSED_IN_PYTHON = {
     ),
     "place": (lambda _: parse_places(["flow=moon"]), "^place 'flow=moon'"),
     "beliefs": (
-        lambda at: next(track("hidden_ball", images(at), (1, 1, 9, 9), out=at / "r", keep_beliefs=True)),
+        lambda at: next(track(late_ball(at), images(at), (1, 1, 9, 9), out=at / "r", keep_beliefs=True)),
         "^keep_beliefs=True.*no keep_beliefs=True",
     ),
 }
