@@ -123,6 +123,11 @@ class DetectionParameters(CueParameters):
         "place alone).",
     )
 
+    points: bool = Field(
+        default=False,
+        description="True where detections are points, such as labels: their centres count, with errors of "
+        "`sd_place_px`, and their sides say nothing. Of targets on the ground or in space, below a view.",
+    )
     sd: dict[str, Annotated[float, Field(gt=0)]] = Field(
         default={},
         max_length=8,
@@ -165,6 +170,17 @@ class DetectionParameters(CueParameters):
         for name, (low, high) in self.within.items():
             if not low < high:
                 raise ValueError(f"within.{name}: {low:g} is not below {high:g}")
+        return self
+
+    @model_validator(mode="after")
+    def _of_points(self) -> Self:
+        if not self.points:
+            return self
+        of_sides = sorted(self.model_fields_set & (OF_BOXES - {"sd_place_px"}))
+        if self.sd or of_sides:
+            raise ValueError(f"points beside {of_sides[0] if of_sides else 'sd'}, which is not of points")
+        if self.sd_place_px == 0:
+            raise ValueError("points without sd_place_px, the sd of their errors in px; set it above 0")
         return self
 
     @model_validator(mode="after")
@@ -215,12 +231,12 @@ class Detection:
         """Rule by which a detection is the target's."""
         p = self.parameters
         return AssociationRule(
-            p.sd_place,
-            p.sd_size,
+            0.0 if p.points else p.sd_place,
+            np.inf if p.points else p.sd_size,
             p.gate,
             self._min_overlap,
             p.appearance,
-            None if p.sd else p.floor,
+            None if p.sd or p.points else p.floor,
             sd_place_px=p.sd_place_px,
             sd_size_px=p.sd_size_px,
             similarity=p.similarity,
@@ -244,7 +260,7 @@ class Detection:
     def measure(
         self, planes: Planes, hypotheses: Hypotheses, weights: Floats, reference: Reference
     ) -> Measurement | None:
-        """x, y, w, h, or the quantities, of the detection given, errors independent; None without one.
+        """x, y, w, h, or what else is measured, of the detection given, errors independent; None without one.
 
         Where several may be the target's, each is a choice with its probability.
         """
@@ -252,7 +268,7 @@ class Detection:
         if detections is None or len(detections) == 0:
             return None
         width = len(self.parameters.sd) or len(FIELDS)
-        values = detections[:, :width]
+        values = detections[:, : len(self._fields) if self.parameters.points else width]
         if detections.shape[1] == width + 1:
             return self._labelled(self._measured(values[:1])[0], reference, 0)
         weights = detections[:, width + 1]
@@ -268,11 +284,19 @@ class Detection:
         label = Label(next(iter(self.parameters.confusion)), log[row, :-1], float(log[row, -1]))
         return replace(measured, label=label)
 
+    @property
+    def _fields(self) -> tuple[str, ...]:
+        """Names of the values that are measured."""
+        return FIELDS[:2] if self.parameters.points else tuple(self.parameters.sd) or FIELDS
+
     def _measured(self, values: Floats) -> list[Measurement]:
         """Measurements of values (N, K)."""
         means, sd, floor = np.array(values, dtype=np.float64), self.parameters.sd, self.parameters.floor
-        fields = tuple(sd) or FIELDS
-        variances = np.array([*sd.values()]) ** 2 if sd else self.rule.variances(means)[:, :, None]
+        fields = self._fields
+        if sd or self.parameters.points:
+            variances = np.array([*sd.values()] or [self.parameters.sd_place_px] * len(fields)) ** 2
+        else:
+            variances = self.rule.variances(means)[:, :, None]
         covariances = np.broadcast_to(variances * np.eye(len(fields)), (len(means), len(fields), len(fields)))
         return [Measurement(fields, *row, floor) for row in zip(means, covariances, strict=True)]
 

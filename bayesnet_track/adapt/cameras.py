@@ -160,6 +160,7 @@ class PlateErrors:
         places: of each column among the K numbers of the errors.
         clock_of: view -> the column of its camera's offset.
         bias_of: view -> the columns of its camera's bias.
+        axes: columns of a place, each with that of its velocity.
     """
 
     errors: CameraErrors
@@ -167,6 +168,7 @@ class PlateErrors:
     places: Sequence[int]
     clock_of: Mapping[str, int]
     bias_of: Mapping[str, Sequence[int]]
+    axes: Sequence[tuple[int, int]] = ((0, 4), (1, 5))
 
     def moments(self, columns: Sequence[int]) -> tuple[Floats, Floats]:
         """Mean and covariance of some of the columns."""
@@ -206,12 +208,12 @@ class PlateErrors:
             return mean, covariance
         offset, variance = float(mean[0, column]), covariance[:, column, column]
         ahead = np.tile(np.eye(mean.shape[1]), (len(mean), 1, 1))
-        second = [covariance[:, speed, speed] * variance for speed in (4, 5)]
-        for place, speed in ((0, 4), (1, 5)):
+        second = [covariance[:, speed, speed] * variance for _, speed in self.axes]
+        for place, speed in self.axes:
             ahead[:, place, speed], ahead[:, place, column] = offset, mean[:, speed]
-        mean[:, :2] += offset * mean[:, 4:6]
+            mean[:, place] += offset * mean[:, speed]
         covariance = ahead @ covariance @ np.swapaxes(ahead, 1, 2)
-        for place, more in enumerate(second):
+        for (place, _), more in zip(self.axes, second, strict=True):
             covariance[:, place, place] += more
         return mean, covariance
 

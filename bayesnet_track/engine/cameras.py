@@ -66,6 +66,8 @@ def plate_errors(compiled: CompiledPlate, errors: CameraErrors | None) -> PlateE
     columns = {name: fields.index(field) for field, (name, _) in named.items()}
     assert compiled.views is not None
     cameras = {node: view.seen_by for node, view in compiled.views.views.items()}
+    view = compiled.views.main
+    moves = tuple(zip([0, 1] if view.z is None else [0, 1, view.z], view.speeds, strict=True))
     return PlateErrors(
         errors,
         [*columns.values()],
@@ -76,6 +78,7 @@ def plate_errors(compiled: CompiledPlate, errors: CameraErrors | None) -> PlateE
             for node, name in cameras.items()
             if (name, "x") in columns
         },
+        moves,
     )
 
 

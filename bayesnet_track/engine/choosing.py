@@ -337,6 +337,6 @@ def cells_in_image(compiled: CompiledPlate, agent: str) -> Floats:
     centres = cells_of(sensor.views)
     states = np.zeros((len(centres), width))
     states[:, :2] = centres
-    for column, (size, number) in enumerate(zip(sensor.views.sizes, USUAL_SIZE, strict=True), 2):
+    for column, (size, number) in enumerate(zip(sensor.views.start[2:4], USUAL_SIZE, strict=True), 2):
         states[:, column] = number if size is None else size[0]
     return sensor.in_image(states, np.tile(1e-12 * np.eye(width), (len(centres), 1, 1)))

@@ -16,7 +16,6 @@ from bayesnet_track.belief.gaussian.modal import ModalFilter
 from bayesnet_track.belief.grid.belief import GridFilter
 from bayesnet_track.belief.motion.averaged import without_modes
 from bayesnet_track.belief.motion.borders import Reflecting
-from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
 from bayesnet_track.belief.motion.composed import (
     Deviation,
     Lasting,
@@ -27,6 +26,7 @@ from bayesnet_track.belief.motion.composed import (
 )
 from bayesnet_track.belief.motion.delayed import with_past
 from bayesnet_track.belief.motion.formulas import FormulaMotion, make_formula_motion
+from bayesnet_track.belief.motion.further_axes import BoxVelocityMotion, SpaceMotion
 from bayesnet_track.belief.motion.models import KinematicMotion, make_motion
 from bayesnet_track.belief.motion.modes import FIELD, Modal, Modes, modes_of
 from bayesnet_track.belief.motion.start_prior import StartPrior, make_start_prior
@@ -383,17 +383,17 @@ def make_plate_motion(
     def composed(declared: spec.Motion, prior: StartPrior | None = None) -> MotionModel:
         motion: MotionModel = replace(_moves(declared, constants), prior=prior)
         if state != "box" and isinstance(motion, KinematicMotion | FormulaMotion):
-            least_side = LEAST_SIDE_PX if state == "point" else LEAST_SIDE_M
-            motion = replace(motion, leaves_image=True, least_side=least_side)
+            side = LEAST_SIDE_PX if state == "point" else LEAST_SIDE_M
+            motion = replace(motion, leaves_image=True, least_side=side)
+            if isinstance(motion, KinematicMotion) and isinstance(state, WorldState) and state.space:
+                motion = SpaceMotion(motion, getattr(motion.noise.sd_px, "z", 0.0))
         if settings.sd_angle_deg > 0:
             motion = turning(motion, settings.sd_angle_deg)
-        if deviations:
-            motion = Nested(motion, deviations)
+        motion = Nested(motion, deviations) if deviations else motion
         return Reflecting(motion) if settings.borders == "reflect" else motion
 
     prior = make_start_prior(root, constants)
-    modes = modes_of(root)
-    if modes is None:
+    if (modes := modes_of(root)) is None:
         return composed(root.motion, prior)
     default_motion = composed(root.motion)
     ways = root.modes or {"": spec.Mode()}

@@ -125,7 +125,7 @@ def frame_metrics(
 def state_numbers(belief: Posterior, on_ground: bool = False) -> dict[str, float]:
     """Mean and sd of each field of a belief beside the box, by name; none of hidden choices.
 
-    Of a state on the ground also x_m, y_m, w_m, h_m, and xy_corr, the correlation of x and y.
+    Of a state in metres also x_m, y_m, w_m, h_m, in space z_m, and xy_corr, the correlation of x and y.
     """
     places = {
         name: place
@@ -133,7 +133,8 @@ def state_numbers(belief: Posterior, on_ground: bool = False) -> dict[str, float
         if name not in CHOICES and PAST not in name
     }
     if on_ground:
-        places = {f"{name}_m": place for place, name in enumerate(belief.fields[:4])} | places
+        upright = {"z_m": places.pop("z")} if "z" in places else {}
+        places = {f"{name}_m": place for place, name in enumerate(belief.fields[:4])} | upright | places
     if not places:
         return {}
     mean, covariance = belief.mean.tolist(), belief.covariance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -24,10 +24,9 @@ from bayesnet_track.engine.predicting import start_motion_context
 from bayesnet_track.engine.scoring.rivals import first_references, without_motion
 from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.engine.state import TargetState, plan_for
-from bayesnet_track.graph.checked import LastingError
 from bayesnet_track.inference.learn import LearningInputs, learn_first, watch
 from bayesnet_track.inference.parts import nominal_boxes
-from bayesnet_track.inference.views import Placed
+from bayesnet_track.inference.views import Placed, Views
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
@@ -245,29 +244,29 @@ def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: 
         anywhere: Posterior = compiled.belief.start(np.array([0.0, 0.0, 1.0, 1.0]), motion, stream)
         return anywhere
     placed_belief = compiled.belief.start(placed.states[0], motion, stream)
-    return with_spread(placed_belief, placed, compiled.views.lasting, stream("placed"))
+    return with_spread(placed_belief, placed, compiled.views, stream("placed"))
 
 
-def with_spread(
-    belief: Posterior, placed: Placed, lasting: Sequence[LastingError], rng: np.random.Generator
-) -> Posterior:
+def with_spread(belief: Posterior, placed: Placed, views: Views, rng: np.random.Generator) -> Posterior:
     """A belief that starts, as uncertain besides as the first box that was `placed`.
 
-    Its last fields are the `lasting` errors, with which the place is off.
+    Its last fields are the errors that last, with which the place is off.
     """
+    lasting = views.lasting
     covariance, cross, size = placed.covariances[0], placed.cross[0], len(belief.fields) - len(lasting)
+    places = np.arange(size)[views.main.columns]
     if isinstance(belief, GaussianPosterior):
         spread = belief.covariance.copy()
-        spread[:4, :4] += covariance
-        spread[:4, size:] += cross
-        spread[size:, :4] += cross.T
+        spread[np.ix_(places, places)] += covariance
+        spread[places, size:] += cross
+        spread[size:, places] += cross.T
         return replace(belief, covariance=spread)
     assert isinstance(belief, ParticleSet)
     states = belief.states.copy()
     by_error = cross / np.array([error.sd**2 for error in lasting])
     lower = root(covariance - by_error @ cross.T)
-    states[:, :4] += rng.standard_normal((len(states), lower.shape[1])) @ lower.T
-    states[:, :4] += states[:, size:] @ by_error.T
+    states[:, places] += rng.standard_normal((len(states), lower.shape[1])) @ lower.T
+    states[:, places] += states[:, size:] @ by_error.T
     np.maximum(states[:, 2:4], LEAST_SIDE_M, out=states[:, 2:4])
     return evolve(belief, states=states)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from bayesnet_track.graph.expressions.terms import Term
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Lost, Target, html_of
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.cameras import GroundView
+from bayesnet_track.numerics.outlines import GroundView
 from bayesnet_track.observation.cue import CueDeclaration, NoParameters, installed_cues
 from bayesnet_track.observation.image_files import Mask
 

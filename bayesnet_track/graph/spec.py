@@ -174,8 +174,13 @@ class Target(Model):
 
     @property
     def is_ground(self) -> bool:
-        """True where the state is in metres on the ground."""
+        """True where the state is in metres, on the ground or in space."""
         return isinstance(self.state, WorldState)
+
+    @property
+    def is_space(self) -> bool:
+        """True where the state is in metres in space."""
+        return isinstance(self.state, WorldState) and self.state.space is not None
 
     def cue_choices(self) -> Iterator[tuple[str, tuple[str, ...], AgentChoice]]:
         """Node, keys inside it, and the cue chosen there: those of agents, and of verifiers of a score."""

@@ -27,9 +27,9 @@ from bayesnet_track.inference.asking import (
 from bayesnet_track.inference.compile import Observe, Plan
 from bayesnet_track.inference.factors import Factors
 from bayesnet_track.inference.gaussian_messages import FAR
-from bayesnet_track.inference.views import cut_covariance
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.boxes import LEAST_VISIBLE, shares_inside
+from bayesnet_track.numerics.outlines import cut_covariance
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import (
     FAULTS,

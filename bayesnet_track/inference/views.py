@@ -1,8 +1,8 @@
-"""Views: where hypotheses on the ground appear in an image, and what is measured there of the ground."""
+"""Views: where hypotheses in metres appear in an image, and what is measured there of their states."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from statistics import NormalDist
@@ -10,9 +10,12 @@ from statistics import NormalDist
 import numpy as np
 
 from bayesnet_track.graph.checked import CLOCK, CheckedTarget, LastingError
+from bayesnet_track.graph.checks.plates import FURTHER
+from bayesnet_track.graph.settings.cameras import Coordinate, Size
 from bayesnet_track.inference.queries import inside_polygon
 from bayesnet_track.numerics.arrays import Floats, Ints
-from bayesnet_track.numerics.cameras import UNSEEN, GroundView
+from bayesnet_track.numerics.cameras import UNSEEN
+from bayesnet_track.numerics.outlines import GroundView, cut_covariance, most_probable
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Frame
@@ -36,6 +39,7 @@ class View:
         seen_by: the camera's name.
         lasting: errors that last, of all views of the plate and of agents below them.
         sd_velocity: of the noise of velocities, m/s in one second.
+        z: column of z in a state in space, before that of its velocity; None of one on the ground.
     """
 
     node: str
@@ -44,15 +48,41 @@ class View:
     seen_by: str
     lasting: tuple[LastingError, ...] = ()
     sd_velocity: float = 0.0
+    z: int | None = None
+
+    @cached_property
+    def fields(self) -> tuple[str, ...]:
+        """Fields of a state that say where a target is and how large."""
+        return BOX if self.z is None else (*BOX, "z")
+
+    @cached_property
+    def columns(self) -> slice | list[int]:
+        """The columns of these fields in states."""
+        return slice(0, 4) if self.z is None else [0, 1, 2, 3, self.z]
+
+    @cached_property
+    def velocity(self) -> tuple[str, ...]:
+        """Fields of the velocity."""
+        return VELOCITY if self.z is None else (*VELOCITY, "vz")
+
+    @cached_property
+    def speeds(self) -> list[int]:
+        """The columns of the velocity in states."""
+        return [4, 5] if self.z is None else [4, 5, self.z + 1]
+
+    @cached_property
+    def axes(self) -> list[int]:
+        """Among `fields`, those that the velocity moves."""
+        return [0, 1] if self.z is None else [0, 1, 4]
 
     def boxes(self, states: Mapping[str, Floats], agent: str = "") -> Floats:
         """(N, 4) boxes in the image of states, field -> (N,), as the camera shows and `agent` finds them."""
-        shifted = np.empty((len(states[BOX[0]]), len(BOX)))
-        for column, name in enumerate(BOX):  # a fifth of the time of `np.stack`
+        shifted = np.empty((len(states[BOX[0]]), len(self.fields)))
+        for column, name in enumerate(self.fields):  # a fifth of the time of `np.stack`
             shifted[:, column] = states[name]
         if self.clock is not None:  # it shows how targets were by so much earlier
-            shifted[:, :2] -= states[self.clock][:, None] * np.stack(
-                [states[name] for name in VELOCITY], axis=1
+            shifted[:, self.axes] -= states[self.clock][:, None] * np.stack(
+                [states[name] for name in self.velocity], axis=1
             )
         boxes = self.camera.boxes(shifted)
         for place, column, side in _errors_of(self, agent):
@@ -62,15 +92,17 @@ class View:
     def linearise(self, states: Floats, agent: str = "") -> tuple[Floats, Floats]:
         """(N, 4) boxes of states (N, D), as `boxes` has them, and their derivatives (N, 4, D)."""
         size = states.shape[1]
-        shifted, offset = states[:, :4], None if self.clock is None else self.column(self.clock, size)
+        shifted = states[:, self.columns]
+        offset = None if self.clock is None else self.column(self.clock, size)
         if offset is not None:
             shifted = shifted.copy()
-            shifted[:, :2] -= states[:, offset : offset + 1] * states[:, 4:6]
+            shifted[:, self.axes] -= states[:, offset : offset + 1] * states[:, self.speeds]
         boxes, slopes = self.camera.boxes(shifted), np.zeros((len(states), 4, size))
-        slopes[:, :, :4] = self.camera.jacobian(shifted)
+        slopes[:, :, self.columns] = by_place = self.camera.jacobian(shifted)
         if offset is not None:
-            slopes[:, :, 4:6] = -states[:, offset, None, None] * slopes[:, :, :2]
-            slopes[:, :, offset] = -(slopes[:, :, :2] @ states[:, 4:6, None])[:, :, 0]
+            along = by_place[:, :, self.axes]
+            slopes[:, :, self.speeds] = -states[:, offset, None, None] * along
+            slopes[:, :, offset] = -(along @ states[:, self.speeds, None])[:, :, 0]
         first = size - len(self.lasting)
         for place, column, side in _errors_of(self, agent):
             errors, scale = states[:, first + place], 1.0 if side is None else boxes[:, side].copy()
@@ -86,19 +118,25 @@ class View:
         fields = (error.field for error in self.lasting if error.node == self.node and error.axis == CLOCK)
         return next(fields, None)
 
-    def box_quantities(self, agent: str, variances: Callable[[Floats], Floats] | None = None) -> Seen:
-        """Box of a state as a measurement; `variances` (T, 4) -> (T, 4) are those of its errors."""
-        covariance = None
-        if variances is not None:
-            covariance = lambda expected: variances(expected)[:, :, None] * np.eye(4)  # noqa: E731
-        return Seen(
+    def box_quantities(
+        self, agent: str, variances: Callable[[Floats], Floats] | None = None, width: int = 4
+    ) -> Seen:
+        """Box of a state as a measurement; `variances` (T, 4) -> (T, 4) are those of its errors.
+
+        The first `width` numbers of it: 2 of a point.
+        """
+        box = Seen(
             partial(self.boxes, agent=agent),
             np.full(len(BOX), np.inf),
             self.shared,
             None if self.clock is None else self.beyond,
-            covariance,
             linearise=partial(self.linearise, agent=agent),
         )
+        if width < len(BOX):
+            return _point_of(self, box, agent, width)
+        if variances is None:
+            return box
+        return evolve(box, covariance=lambda expected: variances(expected)[:, :, None] * np.eye(len(BOX)))
 
     def beyond(self, mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
         """(4,) and (4, 4) what the derivative leaves out of the box of a state N(mean, covariance).
@@ -110,14 +148,15 @@ class View:
             return np.zeros(4), np.zeros((4, 4))
         column = self.column(self.clock, len(mean))
         offset, variance = float(mean[column]), float(covariance[column, column])
-        expected, with_speed = mean[None, :4].copy(), covariance[4:6, column]
-        expected[:, :2] -= offset * mean[4:6] + with_speed
-        slopes = self.camera.jacobian(expected)[0][:, :2]
+        expected, with_speed = mean[None, self.columns].copy(), covariance[self.speeds, column]
+        expected[:, self.axes] -= offset * mean[self.speeds] + with_speed
+        slopes = self.camera.jacobian(expected)[0][:, self.axes]
         if not np.isfinite(slopes).all():
             return np.zeros(4), np.zeros((4, 4))
-        spread = variance * covariance[4:6, 4:6] + np.outer(with_speed, with_speed)
+        of_speeds = covariance[self.speeds][:, self.speeds]
+        spread = variance * of_speeds + np.outer(with_speed, with_speed)
         drift = self.sd_velocity**2 * (offset**2 + variance) ** 1.5 / 3.0
-        return -slopes @ with_speed, slopes @ (spread + drift * np.eye(2)) @ slopes.T
+        return -slopes @ with_speed, slopes @ (spread + drift * np.eye(len(spread))) @ slopes.T
 
     def column(self, field: str, size: int) -> int:
         """The column of a lasting error in states of so many fields."""
@@ -135,6 +174,26 @@ class View:
         """
         states = {**ground.fields, **dict(zip(BOX, ground.boxes.T, strict=True))}
         return Hypotheses(visible_boxes(self.boxes(states), size_in(frame, self.seen_by, self.camera)))
+
+
+def _point_of(view: View, box: Seen, agent: str, width: int) -> Seen:
+    """The first quantities of a box."""
+
+    def linearise(states: Floats) -> tuple[Floats, Floats]:
+        boxes, slopes = view.linearise(states, agent)
+        return boxes[:, :width], slopes[:, :width]
+
+    def beyond(mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
+        shift, spread = view.beyond(mean, covariance)
+        return shift[:width], spread[:width, :width]
+
+    return evolve(
+        box,
+        function=lambda states: box.function(states)[:, :width],
+        periods=box.periods[:width],
+        beyond=None if box.beyond is None else beyond,
+        linearise=linearise,
+    )
 
 
 @lru_cache(maxsize=256)
@@ -179,31 +238,6 @@ def visible_boxes(boxes: Floats, frame: tuple[int, int]) -> Floats:
     return np.where(is_finite, clipped, np.array(UNSEEN))
 
 
-AT_BORDER = 1.5
-"""An edge of a box that is so many px from the image's border at most was cut there."""
-
-_EDGES = np.array([[0.5, 0.0, -1.0, 0.0], [0.0, 0.5, 0.0, -1.0], [0.5, 0.0, 1.0, 0.0], [0.0, 0.5, 0.0, 1.0]])
-"""By how much x, y, w, h of a box change with its left, upper, right and lower edge."""
-
-
-def cut_covariance(camera: GroundView, boxes: Floats) -> Floats:
-    """(N, 4, 4) further errors of boxes (N, 4) with edges at the border of the image, where they were cut.
-
-    Such an edge is not seen: it may be anywhere beyond, with an sd of the image's own side. A box that goes
-    on beyond the border was not cut.
-    """
-    cut = np.zeros((len(boxes), 4, 4))
-    if camera.size is None:
-        return cut
-    size = np.array(camera.size, dtype=np.float64)
-    low, high = boxes[:, :2] - boxes[:, 2:] / 2.0, boxes[:, :2] + boxes[:, 2:] / 2.0
-    is_cut = np.abs(np.concatenate([low + 0.5, high - size + 0.5], axis=1)) <= AT_BORDER
-    if is_cut.any():
-        for k, edge in enumerate(_EDGES):
-            cut[is_cut[:, k]] += size[k % 2] ** 2 * np.outer(edge, edge)
-    return cut
-
-
 def through(
     view: View,
     measured: Measurement,
@@ -217,6 +251,10 @@ def through(
     """
     if measured.fields == BOX and measured.seen is None:
         return _box_through(measured, view.box_quantities(agent, variances), view.camera)
+    if measured.fields == BOX[:2] and measured.seen is None and measured.errors is None:
+        point = view.box_quantities(agent, width=2)
+        choices = tuple((weight, evolve(choice, seen=point)) for weight, choice in measured.choices)
+        return evolve(measured, seen=point, choices=choices)
     inner, errors = measured.seen, measured.errors
     columns = None if inner is not None else [BOX.index(name) for name in measured.fields]
 
@@ -255,22 +293,19 @@ def _box_through(measured: Measurement, box: Seen, camera: GroundView) -> Measur
     return evolve(of_state(0, measured), choices=choices)
 
 
-Sizes = tuple[tuple[float, float] | None, tuple[float, float] | None]
-"""Mean and sd of the width and of the height of targets before one is seen; None where nothing is known."""
-
-STEPS = 30
-CLOSE = 1e-9
+Start = tuple[tuple[float, float] | None, ...]
+"""Mean and sd of x, y, w, h and, in space, z of targets that start; None of what nothing is known of."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Places on the ground of boxes in an image.
+    """Places on the ground, or in space, of boxes in an image.
 
     Attributes:
         which: (M,) the boxes that stand somewhere.
-        states: (M, 4) x, y, w, h in m.
-        covariances: (M, 4, 4).
-        cross: (M, 4, L) of the states and L errors that last.
+        states: (M, K) x, y, w, h in m, and z in space.
+        covariances: (M, K, K).
+        cross: (M, K, L) of the states and L errors that last.
     """
 
     which: Ints
@@ -279,12 +314,12 @@ class Placed:
     cross: Floats
 
 
-def place(view: View, boxes: Floats, variances: Floats, sizes: Sizes, agent: str = "") -> Placed:
+def place(view: View, boxes: Floats, variances: Floats, start: Start, agent: str = "") -> Placed:
     """The most probable states of targets seen as boxes (N, 4) with errors of variances (N, 4), px.
 
-    Foot points are equally probable anywhere on the ground; sizes as `sizes` say. By Gauss and Newton's steps
-    from the foot of the box; the covariance is (J' R^-1 J + P^-1)^-1. Errors of the view and of the `agent`
-    that last are part of R: each moves the state by -K g, K = covariance J' R^-1 and g its effect on the box.
+    What targets are before one is seen, `start` says; otherwise places are equally probable. As of
+    `most_probable`, with errors of the view and of the `agent` that last in R: each moves the state by -K g,
+    K = covariance J' R^-1 and g its effect on the box.
     """
     camera = view.camera
     lasting = np.zeros((len(boxes), 4, len(view.lasting)))
@@ -293,29 +328,12 @@ def place(view: View, boxes: Floats, variances: Floats, sizes: Sizes, agent: str
             lasting[:, :, k] = effects(error, boxes)
     of_lasting = np.array([error.sd**2 for error in view.lasting])
     variances = variances + (lasting**2 @ of_lasting if len(of_lasting) else 0.0)
-    covariances_px = variances[:, :, None] * np.eye(4) + cut_covariance(camera, boxes)
-    precision = np.asarray(np.linalg.inv(covariances_px), dtype=np.float64)
-    feet = camera.ground_points(np.column_stack([boxes[:, 0], boxes[:, 1] + boxes[:, 3] / 2]))
-    prior = np.array([0.0 if size is None else size[1] ** -2 for size in (None, None, *sizes)])
-    prior_sizes = np.array([0.0, 0.0, *(1.0 if size is None else size[0] for size in sizes)])
-    states = np.column_stack([feet, np.tile(prior_sizes[2:], (len(boxes), 1))])
+    spreads = np.array([np.inf if axis is None else axis[1] for axis in start])
+    means = np.array([float(k in (2, 3)) if axis is None else axis[0] for k, axis in enumerate(start)])
     with np.errstate(all="ignore"):
-        first = camera.boxes(states)
-        for k in (2, 3):
-            if sizes[k - 2] is None:
-                states[:, k] *= boxes[:, k] / first[:, k]
-        information, pull = _normal(camera, states, boxes, precision, prior, prior_sizes)
-        for _ in range(STEPS):
-            step = _solve(information, pull)
-            states[:, :2] += step[:, :2]
-            states[:, 2:] = np.maximum(states[:, 2:] + step[:, 2:], states[:, 2:] / 4)  # sizes stay positive
-            information, pull = _normal(camera, states, boxes, precision, prior, prior_sizes)
-            if not (np.abs(step) > CLOSE).any():
-                break
-        covariances = _inverse(information)
-        converged = np.abs(_solve(information, pull)).max(axis=1) < 1e-4
-        usable = converged & np.isfinite(states).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))
-        usable &= np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]) < FARTHEST
+        states, covariances, precision, usable = most_probable(camera, boxes, variances, (means, spreads))
+        if view.z is None:
+            usable &= np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]) < FARTHEST
     rows = np.flatnonzero(usable)
     weighted = np.swapaxes(camera.jacobian(states[rows]), 1, 2) @ precision[rows]
     cross = -covariances[rows] @ weighted @ lasting[rows] * of_lasting
@@ -324,34 +342,6 @@ def place(view: View, boxes: Floats, variances: Floats, sizes: Sizes, agent: str
 
 FARTHEST = 25.0
 """A box that says where it stands with a larger error than so many metres is too near the horizon."""
-
-
-def _normal(
-    camera: GroundView, states: Floats, boxes: Floats, precision: Floats, prior: Floats, prior_sizes: Floats
-) -> tuple[Floats, Floats]:
-    """(N, 4, 4) information, and (N, 4) slopes of the log density."""
-    slopes = camera.jacobian(states)
-    weighted = np.swapaxes(slopes, 1, 2) @ precision
-    residual = boxes - camera.boxes(states)
-    pull = (weighted @ residual[:, :, None])[:, :, 0] + prior * (prior_sizes - states)
-    return weighted @ slopes + np.diag(prior), pull
-
-
-def _inverse(information: Floats) -> Floats:
-    """(N, 4, 4) inverses; NaN where there is none."""
-    scale = np.sqrt(np.diagonal(information, axis1=1, axis2=2))
-    scaled = information / (scale[:, :, None] * scale[:, None, :])
-    usable = np.isfinite(scaled).all(axis=(1, 2))
-    scaled[~usable] = np.eye(4)
-    usable &= np.abs(np.linalg.det(scaled)) > 1e-10
-    scaled[~usable] = np.eye(4)
-    inverse = np.linalg.inv(scaled) / (scale[:, :, None] * scale[:, None, :])
-    return np.where(usable[:, None, None], (inverse + np.swapaxes(inverse, 1, 2)) / 2, np.nan)
-
-
-def _solve(information: Floats, pull: Floats) -> Floats:
-    return np.asarray((_inverse(information) @ pull[:, :, None])[:, :, 0])
-
 
 GIVEN_SD = 0.05
 """Error of a box that somebody gives as a start, as a share of its sides."""
@@ -363,16 +353,16 @@ _QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / 12) for k in range(12)])
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """The cameras of a plate, which stand between its states on the ground and boxes in an image.
+    """The cameras of a plate, which stand between its states in metres and boxes in an image.
 
     Attributes:
         views: the views by name; the first one is that of the image in results.
-        sizes: of targets that start.
+        start: what is known of targets that start.
         area: (C, 2) corners of the ground on which detections become targets, m; None: anywhere.
     """
 
     views: Mapping[str, View]
-    sizes: Sizes
+    start: Start
     area: Floats | None = None
 
     @property
@@ -387,8 +377,10 @@ class Views:
 
     def named(self, states: Floats) -> dict[str, Floats]:
         """The fields of states (N, D) that a box in an image depends on."""
-        width = 6 if any(error.is_clock for error in self.lasting) else 4
-        columns = dict(zip((*BOX, *VELOCITY)[:width], states[:, :width].T, strict=True))
+        main = self.main
+        columns = dict(zip(main.fields, states[:, main.columns].T, strict=True))
+        if any(error.is_clock for error in self.lasting):
+            columns |= dict(zip(main.velocity, states[:, main.speeds].T, strict=True))
         errors = states[:, states.shape[1] - len(self.lasting) :].T
         return columns | {error.field: errors[k] for k, error in enumerate(self.lasting)}
 
@@ -413,7 +405,7 @@ class Views:
     def place(self, box: Floats) -> Placed | None:
         """Place of a target in a given centre box (4,); None above the horizon."""
         sds = GIVEN_SD * np.array([box[2], box[3], box[2], box[3]])
-        placed = place(self.main, box[None], sds[None] ** 2, self.sizes)
+        placed = place(self.main, box[None], sds[None] ** 2, self.start)
         return placed if len(placed.which) else None
 
     def moments(self, mean: Floats, covariance: Floats, frame: Frame) -> tuple[Floats, Floats]:
@@ -427,13 +419,20 @@ class Views:
 def views_of(plate: CheckedTarget) -> Views | None:
     """The cameras of a plate; None of a state in pixels."""
     state = plate.spec.state
-    if isinstance(state, str) or state.ground is None:
+    if isinstance(state, str):
         return None
-    sizes = [
-        None if size is None else (size.mean, size.sd) for size in (state.ground.width, state.ground.height)
-    ]
+    views = {view.node: view for view in views_below(plate)}
+    if state.space is not None:
+        size = state.space.size
+        axes = (state.space.x, state.space.y, size, size, state.space.z)
+        return Views(views, _start_of(axes))
+    assert state.ground is not None
     area = None if state.ground.area is None else np.array(state.ground.area, dtype=np.float64)
-    return Views({view.node: view for view in views_below(plate)}, (sizes[0], sizes[1]), area)
+    return Views(views, _start_of((None, None, state.ground.width, state.ground.height)), area)
+
+
+def _start_of(axes: Sequence[Size | Coordinate | None]) -> Start:
+    return tuple(None if axis is None else (axis.mean, axis.sd) for axis in axes)
 
 
 def views_below(plate: CheckedTarget) -> tuple[View, ...]:
@@ -442,7 +441,8 @@ def views_below(plate: CheckedTarget) -> tuple[View, ...]:
         return ()
     motion = plate.inference(plate.root).motion
     noise = 0.0 if motion is None else float(getattr(motion.settings, "sd_velocity_px", None) or 0.0)
+    z = len(BOX) + len(FURTHER.get(motion.kind, ())) if plate.spec.is_space and motion else None
     return tuple(
-        View(node, plate.root, view.camera, view.name, plate.lasting, noise)
+        View(node, plate.root, view.camera, view.name, plate.lasting, noise, z)
         for node, view in plate.views.items()
     )

@@ -5,9 +5,10 @@ coordinates are OpenCV's: x to the right, y down, z along the optical axis. Pixe
 package: x to the right and y down, centres of pixels at integers.
 
 A target on the ground is a row (x, y, w, h): its foot point, width and height in m. It is an upright
-ellipsoid that touches the ground in (x, y, 0), w across in both directions and h high. Its box is the
-smallest upright rectangle around the ellipsoid's outline, (cx, cy, w, h) in px, centre first; it is not cut
-by the image's border (`outlines`).
+ellipsoid that touches the ground in (x, y, 0), w across in both directions and h high. A target in space is a
+row (x, y, w, h, z): the same ellipsoid with its centre in (x, y, z). Its box is the smallest upright
+rectangle around the ellipsoid's outline, (cx, cy, w, h) in px, centre first; it is not cut by the image's
+border (`outlines`).
 
 What cannot be seen is nan: points behind the camera or beyond the field in which the lens can be inverted
 (`lenses.reach`), ellipsoids that are not entirely in front of it, pixels above the horizon.
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -31,26 +32,6 @@ UNSEEN = (-1e4, -1e4, 1.0, 1.0)
 
 class CameraError(ValueError):
     """Numbers that are not those of a camera, or not enough of them."""
-
-
-class GroundView(Protocol):
-    """Interface of a camera over the ground; all in float64, a row each."""
-
-    @property
-    def size(self) -> tuple[int, int] | None:
-        """Width and height of the image, px, if known."""
-
-    def project(self, points: Floats) -> Floats:
-        """Pixels (N, 2) of points (N, 3) in m."""
-
-    def boxes(self, ground: Floats) -> Floats:
-        """Boxes (N, 4) in px, centre first, of targets (N, 4) in m."""
-
-    def jacobian(self, ground: Floats) -> Floats:
-        """Derivatives (N, 4, 4) of `boxes`: d box_i / d ground_j."""
-
-    def ground_points(self, pixels: Floats) -> Floats:
-        """Points (N, 2) of the ground, m, that are seen in pixels (N, 2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,18 +121,22 @@ class Camera:
         return self.matrix @ self.rotation, self.matrix @ self.translation
 
     def boxes(self, ground: Floats) -> Floats:
-        """Boxes (N, 4) in px, centre first, of targets (N, 4) in m."""
+        """Boxes (N, 4) in px, centre first, of targets (N, 4) on the ground or (N, 5) in space, in m."""
         if self._straight is not None:
             return outlines.straight(*self._straight, ground)[0]
         return outlines.boxes(outlines.tangents(self._pixels, self.rotation, self.translation, ground))
 
     def jacobian(self, ground: Floats) -> Floats:
-        """Derivatives (N, 4, 4) of `boxes`: d box_i / d ground_j."""
+        """Derivatives (N, 4, D) of `boxes`: d box_i / d ground_j."""
         if self._straight is not None:
             return outlines.straight(*self._straight, ground)[1]
         return outlines.jacobian(
             outlines.tangents(self._pixels, self.rotation, self.translation, ground), ground
         )
+
+    def sight(self, pixels: Floats) -> tuple[Floats, Floats]:
+        """Origin (3,) and directions (N, 3), one metre of depth long, of what is seen in pixels (N, 2)."""
+        return self.centre, np.column_stack([self.rays(pixels), np.ones(len(pixels))]) @ self.rotation
 
     def ground_points(self, pixels: Floats) -> Floats:
         """Points (N, 2) of the ground, m, that are seen in pixels (N, 2)."""
@@ -218,12 +203,17 @@ class GroundHomography:
         return _divided(np.column_stack([points, np.ones(len(points))]) @ self.projection.T)
 
     def boxes(self, ground: Floats) -> Floats:
-        """Boxes (N, 4) in px, centre first, of targets (N, 4) in m; they need `size`."""
+        """Boxes (N, 4) in px, centre first, of targets (N, 4) or (N, 5) in m; they need `size`."""
         return outlines.straight(self.projection[:, :3], self.projection[:, 3], ground)[0]
 
     def jacobian(self, ground: Floats) -> Floats:
-        """Derivatives (N, 4, 4) of `boxes`: d box_i / d ground_j."""
+        """Derivatives (N, 4, D) of `boxes`: d box_i / d ground_j."""
         return outlines.straight(self.projection[:, :3], self.projection[:, 3], ground)[1]
+
+    def sight(self, pixels: Floats) -> tuple[Floats, Floats]:
+        """Origin (3,) and directions (N, 3) of what is seen in pixels (N, 2); they need `size`."""
+        camera = camera_of_projection(self.projection, self.size)
+        return camera.sight(pixels)
 
     def ground_points(self, pixels: Floats) -> Floats:
         """Points (N, 2) of the ground, m, that are seen in pixels (N, 2)."""

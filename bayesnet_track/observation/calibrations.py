@@ -21,10 +21,10 @@ from bayesnet_track.numerics.cameras import (
     Camera,
     CameraError,
     GroundHomography,
-    GroundView,
     camera_of_projection,
     check_rotation,
 )
+from bayesnet_track.numerics.outlines import GroundView
 from bayesnet_track.observation.calibration_entries import ENTRIES, UNITS, Entries, Intrinsics, unlikely
 from bayesnet_track.observation.calibration_files import CalibrationError, numbers
 

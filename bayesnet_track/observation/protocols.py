@@ -26,7 +26,7 @@ class AssociationRule:
 
     Attributes:
         sd_place: sd of a detection's centre, as a share of its sides.
-        sd_size: sd of its sides, as a share of them.
+        sd_size: sd of its sides, as a share of them; infinite where detections are points.
         gate: a detection farther from the prediction than this share of right ones is not the target's.
         min_overlap: nor is one whose intersection over union with the predicted box is smaller.
         appearance: exponent of the likelihood that agents which know the target's appearance give the
@@ -64,7 +64,7 @@ class AssociationRule:
     label: LabelRule | None = None
 
     def variances(self, boxes: Floats) -> Floats:
-        """(..., 4) variances in px^2 of x, y, w, h of detections (..., 4)."""
+        """(..., 4) variances, px^2, of x, y, w, h of detections (..., 4); infinite of sides of points."""
         variances, sides = np.empty(boxes.shape), boxes[..., 2:4]
         np.multiply(sides, self.sd_place, out=variances[..., :2])
         np.multiply(sides, self.sd_size, out=variances[..., 2:])
@@ -72,6 +72,11 @@ class AssociationRule:
         if self.sd_place_px or self.sd_size_px:
             variances += np.square([self.sd_place_px, self.sd_place_px, self.sd_size_px, self.sd_size_px])
         return variances
+
+    @property
+    def is_of_points(self) -> bool:
+        """True if the sides of detections say nothing."""
+        return self.sd_size == math.inf
 
     @property
     def remembers(self) -> bool:

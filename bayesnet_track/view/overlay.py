@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.numerics.arrays import Floats, Image
 from bayesnet_track.numerics.boxes import corner_from_centre
-from bayesnet_track.numerics.cameras import CameraError, GroundView
+from bayesnet_track.numerics.cameras import CameraError
+from bayesnet_track.numerics.outlines import GroundView
 from bayesnet_track.observation.detector import Detections
 
 Colour = tuple[int, int, int]

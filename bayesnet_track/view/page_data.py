@@ -126,7 +126,8 @@ def _on_ground(rows: Block, plate: CheckedTarget) -> Columns:
         return {}
     moments = ("x_m", "y_m", "x_m_sd", "y_m_sd", "xy_corr")
     columns = {"ground": short_floats(np.stack([rows.numbers(f"state/{name}") for name in moments], axis=1))}
-    states = np.stack([rows.numbers(f"state/{name}_m") for name in ("x", "y", "w", "h")], axis=1)
+    axes = ("x", "y", "w", "h", "z") if plate.spec.is_space else ("x", "y", "w", "h")
+    states = np.stack([rows.numbers(f"state/{name}_m") for name in axes], axis=1)
     for node, view in plate.views.items():
         boxes = np.asarray(view.camera.boxes(states), dtype=np.float64)
         for column, axis in enumerate(("x", "y")):

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from bayesnet_track.numerics.arrays import Bools, Floats, Image
-from bayesnet_track.numerics.cameras import Camera, GroundHomography, GroundView
+from bayesnet_track.numerics.cameras import Camera, GroundHomography
+from bayesnet_track.numerics.outlines import GroundView
 from bayesnet_track.observation.calibration_entries import Intrinsics
 from bayesnet_track.observation.calibration_files import CalibrationError
 from bayesnet_track.vision.calibration import Corners, board_seen, find_corners

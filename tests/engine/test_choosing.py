@@ -12,7 +12,7 @@ from bayesnet_track import DetectionsTracker
 from bayesnet_track.graph.text.load import load_graph
 from bayesnet_track.graph.text.messages import GraphError
 from bayesnet_track.journal.events.cameras import CamerasSwitched
-from tests.engine.street import FPS, boxes_of, detections_of, noisy
+from tests.engine.street import FPS, detections_of, noisy
 from tests.engine.test_several_cameras import CAMERAS, write_graph
 
 NAMES = ["south", "east", "north", "west"]
@@ -38,7 +38,7 @@ def frames(count, rng, cameras=NAMES):
     for frame in range(count):
         places = PLACES + SPEEDS * frame / FPS
         full = np.column_stack([places, np.tile([0.55, 1.75], (len(places), 1))])
-        seen = {name: detections_of(noisy(boxes_of(full, CAMERAS[name]), rng)) for name in cameras}
+        seen = {name: detections_of(noisy(CAMERAS[name].boxes(full), rng)) for name in cameras}
         yield frame / FPS, seen
 
 

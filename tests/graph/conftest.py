@@ -510,6 +510,15 @@ def everything() -> dict[str, Any]:
                     "view": {"parent": "walker", "camera": "north"},
                 },
             },
+            "drone": {
+                "state": {
+                    "space": {"size": {"mean": 0.5, "sd": 0.1}, "z": {"mean": -2.5, "sd": 4.0}},
+                },
+                "nodes": {
+                    "drone": {"motion": {"constant_velocity": {"sd": {"z": 0.01}}}},
+                    "view": {"parent": "drone", "camera": "north"},
+                },
+            },
         },
         "queries": {
             "q": {"of": "t", "probability": "x > 3", "event_above": 0.5},

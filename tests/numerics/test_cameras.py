@@ -11,7 +11,6 @@ from bayesnet_track.numerics.cameras import (
     Camera,
     CameraError,
     GroundHomography,
-    GroundView,
     camera_of_projection,
 )
 from bayesnet_track.numerics.lenses import distort, reach, undistort
@@ -136,6 +135,14 @@ def test_what_cannot_be_seen_is_nan() -> None:
     assert np.isnan(camera.boxes(np.array([[np.nan, 0.0, 0.5, 1.8]]))).all()
 
 
+@pytest.mark.parametrize("lens", ["none", "brown"])
+def test_rows_that_are_no_targets_are_refused(lens: str) -> None:
+    camera = looking((0.0, -12.0, 5.0), (0.0, 3.0, 0.0), LENSES[lens])
+    for ask in (camera.boxes, camera.jacobian):
+        with pytest.raises(ValueError, match=r"shape \(3, 6\)"):
+            ask(np.ones((3, 6)))
+
+
 def test_a_lens_is_inverted_up_to_its_reach() -> None:
     coefficients = np.array(LENSES["brown"])
     limit = reach(coefficients)
@@ -151,7 +158,7 @@ def test_a_homography_gives_the_boxes_of_its_camera(view: str, sign: float) -> N
     matrix = np.array([[900.0, 0, 639.5], [0, 900, 359.5], [0, 0, 1]])
     camera = Camera(matrix, np.zeros(0), base.rotation, base.translation, SIZE)
     plane = matrix @ np.column_stack([camera.rotation[:, :2], camera.translation])
-    homography: GroundView = GroundHomography(sign * 0.3 * plane, SIZE)
+    homography: Camera | GroundHomography = GroundHomography(sign * 0.3 * plane, SIZE)
     assert np.abs(homography.boxes(PEOPLE) - camera.boxes(PEOPLE)).max() < 1e-6
     assert np.abs(homography.jacobian(PEOPLE) - camera.jacobian(PEOPLE)).max() < 1e-4
     points = np.column_stack([PEOPLE[:, :2], np.zeros(4)])
@@ -230,3 +237,28 @@ def test_a_lens_that_bends_nothing_gives_the_same_boxes_and_derivatives():
     assert 0.2 < np.isnan(boxes[:, 0]).mean() < 0.8
     np.testing.assert_allclose(boxes, bent.boxes(ground), rtol=1e-7)
     np.testing.assert_allclose(straight.jacobian(ground), bent.jacobian(ground), rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("lens", ["none", "brown"])
+@pytest.mark.parametrize("view", ["street", "near", "overhead"])
+def test_a_target_in_space_is_the_ellipsoid_around_its_centre(view: str, lens: str) -> None:
+    camera = looking(*VIEWS[view], LENSES[lens])
+    standing = np.column_stack([PEOPLE, PEOPLE[:, 3] / 2])
+    np.testing.assert_allclose(camera.boxes(standing), camera.boxes(PEOPLE), rtol=1e-12)
+    raised = standing + [0.0, 0.0, 0.0, 0.0, 0.4]
+    expected = np.array([bounds(camera.project(surface(row[:4]) + [0.0, 0.0, 0.4])) for row in raised])
+    assert np.abs(camera.boxes(raised) - expected).max() < 0.2
+    step = 1e-5 * np.eye(5)
+    differences = np.stack(
+        [(camera.boxes(raised + row) - camera.boxes(raised - row)) / 2e-5 for row in step], axis=-1
+    )
+    assert np.abs(camera.jacobian(raised) - differences).max() < 1e-4 * np.abs(differences).max()
+
+
+@pytest.mark.parametrize("lens", ["none", "brown"])
+def test_what_a_pixel_shows_lies_on_its_ray(lens: str) -> None:
+    camera = looking(*VIEWS["street"], LENSES[lens])
+    points = np.array([[0.3, 1.0, 2.0], [-1.0, 4.0, 0.5]])
+    origin, rays = camera.sight(camera.project(points))
+    depths = ((points - origin) * rays).sum(axis=1) / (rays**2).sum(axis=1)
+    np.testing.assert_allclose(origin + depths[:, None] * rays, points, atol=1e-6)

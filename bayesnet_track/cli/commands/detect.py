@@ -36,7 +36,7 @@ from bayesnet_track.numerics.compile_watch import WATCH
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from bayesnet_track.numerics.cameras import GroundView
+    from bayesnet_track.numerics.outlines import GroundView
     from bayesnet_track.observation.cue import CueDeclaration
     from bayesnet_track.observation.detector import Detector, DetectorDeclaration, DetectorState
     from bayesnet_track.observation.planes import Frame, FramePair

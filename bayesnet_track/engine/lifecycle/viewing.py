@@ -6,6 +6,7 @@ R), R that of a detection of the box h(m). A target that starts stands where its
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,16 +20,14 @@ from bayesnet_track.belief.gaussian.update import measured_columns
 from bayesnet_track.engine.lifecycle.measuring import is_unscented
 from bayesnet_track.engine.lifecycle.sensing import COVERED, LOG_TURN, Begun, Found, Mixed, near_boxes
 from bayesnet_track.graph.checked import BY_PLACE, CheckedTarget, LastingError
-from bayesnet_track.inference.views import View, Views, cut_covariance, place
+from bayesnet_track.inference.views import View, Views, place
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.cameras import UNSEEN
 from bayesnet_track.numerics.gaussian import Expectation, chi_square_quantile
+from bayesnet_track.numerics.outlines import cut_covariance
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import AssociationRule
 from bayesnet_track.observation.planes import FramePair
-
-WIDTH = 4
-"""Quantities of a box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +52,17 @@ class ViewSensor:
     view: View
     is_unscented: bool = False
     has_extent: bool = False
-    log_scale: float = -0.5 * WIDTH * LOG_TURN
     errors: PlateErrors | None = None
+
+    @cached_property
+    def width(self) -> int:
+        """Number of quantities that a detection measures: x and y of a point, x, y, w and h of a box."""
+        return 2 if self.association.is_of_points else 4
+
+    @property
+    def log_scale(self) -> float:
+        """Log of (2 pi)^(-K / 2)."""
+        return -0.5 * self.width * LOG_TURN
 
     def at(self, frames: FramePair) -> ViewSensor:
         """The same in every frame."""
@@ -76,7 +84,7 @@ class ViewSensor:
 
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
         """Expected detections of targets (T, D), (T, D, D), by a detector without errors."""
-        seen = self.view.box_quantities(self.agent)
+        seen = self.view.box_quantities(self.agent, width=self.width)
         return expect_seen(seen, self.fields, (mean, covariance), self.is_unscented)
 
     def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
@@ -85,7 +93,7 @@ class ViewSensor:
         if not len(mean) or not len(detections.values):
             return Pairs(nothing, nothing, np.empty(0))
         d2, log_gains = self._distances(mean, covariance, detections)
-        limit = chi_square_quantile(self.association.gate, WIDTH)
+        limit = chi_square_quantile(self.association.gate, self.width)
         rows, columns = np.nonzero((d2 <= limit) & (d2 < np.inf))
         return Pairs(rows, columns, log_gains[rows, columns])
 
@@ -100,8 +108,8 @@ class ViewSensor:
         if len(mixed.columns):
             expected, rows = self.expect(mean, covariance), mixed.rows
             boxes = detections.values[mixed.columns]
-            noises = self._noise(expected)[rows] + cut_covariance(self.view.camera, boxes)
-            innovations = boxes - expected.values[rows]
+            noises = self._noise(expected)[rows] + self._cut(boxes)
+            innovations = boxes[:, : self.width] - expected.values[rows]
             choices = (mixed.starts, *mixed.shares)
             considered = measured_columns(self.view.shared, self.fields)
             mix_expected((mean, covariance), expected, (innovations, noises), choices, considered)
@@ -125,7 +133,8 @@ class ViewSensor:
             return np.ones(len(mean))
         expected = self.expect(mean, covariance)
         sd = np.sqrt(np.maximum(np.diagonal(expected.spread, axis1=1, axis2=2)[:, :2], 1e-12))
-        half, centres = expected.values[:, 2:] / 2.0, expected.values[:, :2]
+        centres = expected.values[:, :2]
+        half = expected.values[:, 2:] / 2.0 if self.width > 2 else np.zeros_like(centres)
         low, high = (-0.5 - half - centres) / sd, (np.array(size) - 0.5 + half - centres) / sd
         shares = ndtr(high) - ndtr(low)
         return np.where(expected.is_known, shares.prod(axis=1), 0.0)
@@ -133,16 +142,20 @@ class ViewSensor:
     def near(
         self, mean: Floats, existence: Floats, detections: Found, area_px2: float
     ) -> tuple[Floats, float]:
-        """By the share of the detection that a predicted box covers in the image."""
+        """By the share of the detection that a predicted box covers in the image; of points none."""
+        if self.width == 2:
+            return np.zeros(len(detections.values)), 1.0
         boxes = np.ascontiguousarray(self.boxes(mean))
         return near_boxes(boxes, existence * (boxes[:, 0] != UNSEEN[0]), detections.values, area_px2)
 
     def learn(self, detection_model: DetectionModel, detections: Found) -> DetectionModel:
         """The sizes that detections have."""
-        return detection_model.with_sizes(detections.values)
+        return detection_model if self.width == 2 else detection_model.with_sizes(detections.values)
 
     def log_density(self, detection_model: DetectionModel, detections: Found, area_px2: float) -> Floats:
         """Uniform over the frame, of the sizes that detections have."""
+        if self.width == 2:
+            return np.full(len(detections.values), -math.log(area_px2))
         return detection_model.log_density(detections.values, area_px2)
 
     def begin(self, motion: MotionModel, detections: Found) -> Begun:
@@ -158,14 +171,15 @@ class ViewSensor:
             lasting = (evolve(e, sd=sds[e.axis]) if self.is_bias(e) else e for e in view.lasting)
             view, boxes = evolve(view, lasting=tuple(lasting)), boxes.copy()
             boxes[:, :2] -= bias_mean
-        placed = place(view, boxes, variances, self.views.sizes, self.agent)
+        placed = place(view, boxes, variances, self.views.start, self.agent)
         moments = [motion.start_moments(state) for state in placed.states]
         size, first = len(motion.fields), len(motion.fields) - len(self.views.lasting)
         mean = np.array([moment for moment, _ in moments]).reshape(-1, size)
         covariance = np.array([moment for _, moment in moments]).reshape(-1, size, size)
-        covariance[:, :4, :4] += placed.covariances
-        covariance[:, :4, first:] += placed.cross
-        covariance[:, first:, :4] += np.swapaxes(placed.cross, 1, 2)
+        places = np.arange(size)[view.columns]
+        covariance[:, places[:, None], places] += placed.covariances
+        covariance[:, places, first:] += placed.cross
+        covariance[:, first:, places] += np.swapaxes(placed.cross, 1, 2)
         mean[:, bias], covariance[:, bias, bias] = bias_mean, bias_variances
         if errors is not None:
             mean, covariance = errors.begun(self.view.node, mean, covariance)
@@ -174,12 +188,12 @@ class ViewSensor:
     def _distances(self, mean: Floats, covariance: Floats, detections: Found) -> tuple[Floats, Floats]:
         """(T, N) d^2, and -d^2 / 2 - log det S / 2; infinite where the camera sees nothing."""
         expected = self.expect(mean, covariance)
-        cut = cut_covariance(self.view.camera, detections.values)
+        cut = self._cut(detections.values)
         spread = np.where(
-            expected.is_known[:, None, None], expected.spread + self._noise(expected), np.eye(WIDTH)
+            expected.is_known[:, None, None], expected.spread + self._noise(expected), np.eye(self.width)
         )
         lower = np.linalg.cholesky(spread[:, None] + cut)
-        offsets = detections.values[None] - expected.values[:, None]
+        offsets = detections.values[None, :, : self.width] - expected.values[:, None]
         scaled = np.linalg.solve(lower, offsets[..., None])[..., 0]
         d2 = np.where(expected.is_known[:, None], (scaled**2).sum(axis=2), np.inf)
         half = np.log(np.diagonal(lower, axis1=2, axis2=3)).sum(axis=2)
@@ -200,7 +214,7 @@ class ViewSensor:
         """
         if not len(mean):
             return {}
-        camera, size = self.view.camera, self.view.camera.size
+        size = self.view.camera.size
         expected = self.expect(mean, covariance)
         visible = expected.is_known.copy()
         if size is not None:
@@ -208,10 +222,10 @@ class ViewSensor:
         rows = np.repeat(np.arange(len(mean)), np.diff(mixed.starts))
         pairs = np.flatnonzero(expected.is_known[rows] & (mixed.weights > 0.0))
         rows, columns, weights = rows[pairs], mixed.columns[pairs], mixed.weights[pairs]
-        innovations = detections.values[columns] - expected.values[rows]
-        errors = self.association.variances(expected.at_mean)[rows]
-        cut = cut_covariance(camera, detections.values)[columns]
-        spread = expected.spread[rows] + errors[:, :, None] * np.eye(WIDTH) + cut
+        innovations = detections.values[columns, : self.width] - expected.values[rows]
+        errors = np.diagonal(self._noise(expected), axis1=1, axis2=2)[rows]
+        cut = self._cut(detections.values)[columns]
+        spread = expected.spread[rows] + errors[:, :, None] * np.eye(self.width) + cut
         first = mean.shape[1] - len(self.views.lasting)
         if lasting := [first + k for k, error in enumerate(self.views.lasting) if error.is_px]:
             cross, errors_of = expected.cross[rows][:, lasting], covariance[np.ix_(rows, lasting, lasting)]
@@ -236,11 +250,11 @@ class ViewSensor:
 
     @cached_property
     def share_gated(self) -> float:
-        """E[d^2 | d^2 <= q] / 4 of a chi-square of 4 degrees that the gate cuts at q."""
+        """E[d^2 | d^2 <= q] / K of a chi-square of K degrees that the gate cuts at q."""
         from scipy.special import gammainc
 
-        half = chi_square_quantile(self.association.gate, WIDTH) / 2.0
-        return float(gammainc(WIDTH / 2 + 1, half) / gammainc(WIDTH / 2, half)) if np.isfinite(half) else 1.0
+        half, degrees = chi_square_quantile(self.association.gate, self.width) / 2.0, self.width / 2
+        return float(gammainc(degrees + 1, half) / gammainc(degrees, half)) if np.isfinite(half) else 1.0
 
     @property
     def bias_sd(self) -> float:
@@ -253,8 +267,16 @@ class ViewSensor:
         return error.node == self.view.node and error.is_bias
 
     def _noise(self, expected: Expectation) -> Floats:
-        """(T, 4, 4) of errors that differ from frame to frame, of detections of expected boxes."""
-        return self.association.variances(expected.at_mean)[:, :, None] * np.eye(WIDTH)
+        """(T, K, K) of errors that differ from frame to frame, of detections of expected boxes."""
+        if self.width == 2:
+            return np.tile(self.association.sd_place_px**2 * np.eye(2), (len(expected.values), 1, 1))
+        return self.association.variances(expected.at_mean)[:, :, None] * np.eye(self.width)
+
+    def _cut(self, boxes: Floats) -> Floats:
+        """(N, K, K) further errors of detections that were cut at the border; of points none."""
+        if self.width == 2:
+            return np.zeros((len(boxes), 2, 2))
+        return cut_covariance(self.view.camera, boxes)
 
 
 def make_view_sensor(

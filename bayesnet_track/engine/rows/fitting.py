@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior, require_linear
-from bayesnet_track.belief.motion.box_velocity import BoxVelocityMotion
+from bayesnet_track.belief.motion.further_axes import BoxVelocityMotion
 from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule

@@ -287,6 +287,14 @@ def _moves_freely(plate: Plate, name: str, motion: Motion) -> Iterator[GraphMess
     if motion.box_velocity is not None:
         yield plate.message(name, "box_velocity on the ground", "constant_velocity", key=key, on_key=True)
         return
+    if plate.spec.is_space and motion.expressions is not None:
+        fault = "a motion by expressions of a state in space, whose z moves as x and y do"
+        yield plate.message(name, fault, "constant_velocity", key=key, on_key=True)
+    elif (
+        not plate.spec.is_space and getattr(motion.settings, "sd", None) is not None and motion.settings.sd.z
+    ):
+        fault = "sd of z, and the state is on the ground"
+        yield plate.message(name, fault, "state: {space: ..}", key=(*key, "sd", "z"), on_key=True)
     settings = motion.settings
     if not settings.is_plain or settings.borders is not None or settings.sd_angle_deg > 0:
         fault = "a motion that depends on the image, and the state is on the ground"

@@ -176,6 +176,9 @@ FURTHER = {
     "box_velocity": ("vx", "vy", "vw", "vh"),
 }
 
+UPWARDS = ("z", "vz", "az")
+"""Fields of the third axis of a state in space, as many as an axis has derivatives."""
+
 
 def fields_of_motion(motion: Motion) -> tuple[str, ...]:
     """Fields of the state beside the box, of one motion."""
@@ -192,9 +195,18 @@ def further_fields(root: InferenceNode) -> tuple[str, ...]:
 
 
 def ground_fields(target: Target) -> tuple[str, ...]:
-    """Numbers of a state on the ground, as results name them: in metres, then the motion's own fields."""
-    roots = (node for node in target.nodes.values() if isinstance(node, InferenceNode) and not node.parent)
-    return (*(f"{name}_m" for name in BOX), *moving_fields(next(roots)))
+    """Numbers of a state in metres, as results name them: where it is, then the motion's own fields."""
+    root, upright = root_of(target), upright_fields(target)
+    places = (*BOX, *upright[:1])
+    return (*(f"{name}_m" for name in places), *(moving_fields(root) if root else ()), *upright[1:])
+
+
+def upright_fields(target: Target) -> tuple[str, ...]:
+    """Fields of the third axis of a state in space; none of another."""
+    root = root_of(target)
+    if root is None or root.motion is None or not target.is_space:
+        return ()
+    return UPWARDS[: 1 + len(FURTHER.get(root.motion.kind, ())) // 2]
 
 
 def discrete_fields(root: InferenceNode) -> tuple[str, ...]:

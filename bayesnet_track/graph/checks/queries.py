@@ -16,6 +16,7 @@ from bayesnet_track.graph.checks.plates import (
     names_of_inputs,
     numbers_of_kinds,
     root_of,
+    upright_fields,
 )
 from bayesnet_track.graph.expressions.evaluate import CONDITIONS
 from bayesnet_track.graph.expressions.parse import parse_value
@@ -125,7 +126,10 @@ def names_in_query(spec: GraphSpec, query: Query) -> tuple[str, ...]:
 def fields_of(target: Target) -> tuple[str, ...]:
     """The fields of the state of a kind of target, and what it is: its mode, its categories."""
     root = root_of(target)
-    return BOX if root is None else tuple(dict.fromkeys((*BOX, *moving_fields(root), *discrete_fields(root))))
+    if root is None:
+        return BOX
+    names = (*BOX, *moving_fields(root), *upright_fields(target), *discrete_fields(root))
+    return tuple(dict.fromkeys(names))
 
 
 def _explain(message: GraphMessage, error: ExpressionError, query: Query) -> GraphMessage:

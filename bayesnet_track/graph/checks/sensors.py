@@ -17,6 +17,7 @@ from bayesnet_track.graph.expressions.distributions import period_of
 from bayesnet_track.graph.expressions.evaluate import values_of
 from bayesnet_track.graph.expressions.parse import parse, parse_value
 from bayesnet_track.graph.expressions.terms import FRAME_NAMES, ExpressionError, Term, Variable, names_in
+from bayesnet_track.graph.settings.cameras import WorldState
 from bayesnet_track.graph.spec import AgentNode
 from bayesnet_track.graph.text.messages import GraphMessage, nearest
 from bayesnet_track.numerics.arrays import Floats
@@ -296,6 +297,30 @@ def _points_move(plate: Plate, name: str, motion: Any) -> Iterator[GraphMessage]
         yield plate.message(name, fault, "sd_px: {x: .., y: ..}", key=("motion", kind), on_key=True)
 
 
+def points_in_images_have_a_place(plate: Plate) -> Iterator[GraphMessage]:
+    """Points in an image are of states in metres, with a prior of what they do not say."""
+    state = plate.spec.state
+    for name, node in plate.agents.items():
+        declaration = plate.cues.get(node.agent.cue)
+        if declaration is None or not declaration.reads_detection:
+            continue
+        parameters: Any = cue_parameters(node.agent, declaration)
+        if not getattr(parameters, "points", False):
+            continue
+        fault, remedy = "points of a target whose state is in pixels", "state: {space: ..} or {ground: ..}"
+        if isinstance(state, WorldState):
+            priors = {"width": state.ground.width, "height": state.ground.height} if state.ground else {}
+            if state.space is not None:
+                priors = {axis: getattr(state.space, axis) for axis in "xyz"}
+            missing = [key for key, prior in priors.items() if prior is None]
+            if not missing:
+                continue
+            fault = f"points, which have no size, of targets without a prior of {', '.join(missing)}"
+            kind = "ground" if state.space is None else "space"
+            remedy = f"state: {{{kind}: {{{missing[0]}: {{mean: .., sd: ..}}, ..}}}}"
+        yield plate.message(name, fault, remedy, key=("agent", node.agent.cue, "points"), on_key=True)
+
+
 def sensors_fit(plate: Plate) -> Iterator[GraphMessage]:
     """All of these checks, where the parameters of the agents that are given detections are sound."""
     for node in plate.agents.values():
@@ -310,6 +335,7 @@ def sensors_fit(plate: Plate) -> Iterator[GraphMessage]:
     yield from inverses_can_be_read(plate)
     yield from sensors_can_start_targets(plate)
     yield from points_have_no_size(plate)
+    yield from points_in_images_have_a_place(plate)
 
 
 SENSOR_CHECKS: tuple[Check, ...] = (sensors_fit,)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from bayesnet_track.graph.settings.base import Choice, Model, Name, NotNegative, Positive
+from bayesnet_track.graph.settings.base import Choice, Model, Name, NotNegative, Number, Positive
 from bayesnet_track.graph.settings.queries import MOST_CORNERS, Point
 
 METRES = {
@@ -26,6 +26,7 @@ class MetreSd(Model):
     y: NotNegative = Field(default=0.0, description="of the foot point's y, m")
     w: NotNegative = Field(default=0.0, description="of the width, m")
     h: NotNegative = Field(default=0.0, description="of the height, m")
+    z: NotNegative = Field(default=0.0, description="of z, m; of states in space")
 
 
 class CameraBias(Model):
@@ -157,6 +158,31 @@ class Ground(Model):
         return self
 
 
+class Coordinate(Model):
+    """Prior of a coordinate of targets that start: N(mean, sd^2)."""
+
+    mean: Number = Field(description="m")
+    sd: Positive = Field(description="m")
+
+
+class Space(Model):
+    """Targets anywhere in space, as large across as high.
+
+    A camera alone sees how far away one is by its size; where detections have none, `x`, `y` and `z` say
+    where it may be, before other cameras do.
+
+    Example::
+
+        state: {space: {size: {mean: 0.5, sd: 0.1}}}
+    """
+
+    unit: Literal["m"] = Field(default="m", description="of x, y, z, w and h")
+    size: Size = Field(description="of targets, across and high, before one is seen")
+    x: Coordinate | None = Field(default=None, description="of targets that start; default: anywhere")
+    y: Coordinate | None = Field(default=None, description="the same of y")
+    z: Coordinate | None = Field(default=None, description="the same of z")
+
+
 class WorldState(Choice):
     """A state in the world, which cameras see by `view` nodes.
 
@@ -169,6 +195,10 @@ class WorldState(Choice):
         default=None,
         description="x, y: foot point on the ground, w, h: width and height, all in metres; velocities in "
         "metres per second. `dt` and all numbers of the graph that count frame intervals count seconds",
+    )
+    space: Space | None = Field(
+        default=None,
+        description="x, y, z: centre, w, h: width and height, in metres: the same in space",
     )
 
 

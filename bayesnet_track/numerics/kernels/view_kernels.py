@@ -14,15 +14,16 @@ from bayesnet_track.numerics.gaussian import Expectation, factor, independent_lo
 
 @compiled
 def straight_outlines(axes: Floats, origin: Floats, ground: Floats) -> tuple[Floats, Floats]:
-    """Boxes (N, 4) of targets (N, 4) by a projection [axes origin] to pixels, and derivatives (N, 4, 4).
+    """Boxes (N, 4) of targets (N, D) by a projection [axes origin] to pixels, and derivatives (N, 4, D).
 
     As of `numerics.outlines`, whose lens is none: nan in a whole row where a target is not entirely in front
     of the camera.
     """
-    count = ground.shape[0]
-    boxes, slopes = np.empty((count, 4)), np.empty((count, 4, 4))
+    count, width_of_state = ground.shape
+    boxes, slopes = np.empty((count, 4)), np.empty((count, 4, width_of_state))
     centre, halves, tangent_axes = np.empty(3), np.empty(3), np.empty(3)
-    bounds, moves = np.empty((2, 2)), np.empty((2, 2, 4))
+    bounds, moves = np.empty((2, 2)), np.empty((2, 2, width_of_state))
+    stands = width_of_state == 4
     for n in range(count):
         width, height = ground[n, 2], ground[n, 3]
         halves[0] = halves[1] = abs(width) / 2
@@ -30,7 +31,7 @@ def straight_outlines(axes: Floats, origin: Floats, ground: Floats) -> tuple[Flo
         reached = 0.0
         for i in range(3):
             centre[i] = origin[i] + axes[i, 0] * ground[n, 0] + axes[i, 1] * ground[n, 1]
-            centre[i] += axes[i, 2] * height / 2
+            centre[i] += axes[i, 2] * height / 2 if stands else axes[i, 2] * ground[n, 4]
         for k in range(3):
             reached += (halves[k] * axes[2, k]) ** 2
         is_seen = centre[2] > math.sqrt(reached)
@@ -59,15 +60,17 @@ def straight_outlines(axes: Floats, origin: Floats, ground: Floats) -> tuple[Flo
                     moves[b, side, 2] = (
                         width / 2 * (tangent_axes[0] ** 2 + tangent_axes[1] ** 2) / double_depth
                     )
-                    moves[b, side, 3] = (
-                        height / 2 * tangent_axes[2] ** 2 - p * tangent_axes[2]
-                    ) / double_depth
+                    rise = p * tangent_axes[2]
+                    half = height / 2 * tangent_axes[2] ** 2
+                    moves[b, side, 3] = (half - rise if stands else half) / double_depth
+                    if not stands:
+                        moves[b, side, 4] = -2.0 * rise / double_depth
                 else:
                     moves[b, side] = math.nan
         for b in range(2):
             boxes[n, b] = (bounds[b, 0] + bounds[b, 1]) / 2 if is_seen else math.nan
             boxes[n, b + 2] = bounds[b, 1] - bounds[b, 0] if is_seen else math.nan
-            for j in range(4):
+            for j in range(width_of_state):
                 slopes[n, b, j] = (moves[b, 0, j] + moves[b, 1, j]) / 2 if is_seen else math.nan
                 slopes[n, b + 2, j] = moves[b, 1, j] - moves[b, 0, j] if is_seen else math.nan
     return boxes, slopes

@@ -28,7 +28,8 @@ from bayesnet_track.journal.frame_file import FrameFile
 from bayesnet_track.journal.metrics import NOT_SHOWN, Answers, FrameMetrics, QueryAnswer, numbers_of
 from bayesnet_track.journal.writer import LineFile
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.cameras import UNSEEN, GroundView
+from bayesnet_track.numerics.cameras import UNSEEN
+from bayesnet_track.numerics.outlines import GroundView
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.protocols import BOX
 
@@ -300,8 +301,9 @@ class CameraWriter(LineFile):
 
     def write(self, frame: Frame, tracked: Tracked, kinds: Mapping[str, str]) -> None:
         """Add the lines of one step to the next flush; `kinds` maps targets to their plates."""
+        places = [f"{name}_m" for name in (*BOX, "z")]  # z in space
         states = {
-            target: np.array([numbers[f"{name}_m"] for name in BOX])
+            target: np.array([numbers[name] for name in places if name in numbers])
             for target, numbers in zip(tracked.targets, tracked.answers, strict=True)
             if "x_m" in numbers
         }
