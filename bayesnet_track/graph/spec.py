@@ -144,7 +144,7 @@ class Target(Model):
         default="box",
         description="`box`: x, y, w, h in pixels, (x, y) the centre; `point`: x, y alone, in the unit of its "
         "[sensors](any_sensor.md); `{ground: {unit: m}}`: in metres on the ground, seen by "
-        "[cameras](metres.md)",
+        "[cameras](metres.md); `{space: {size: ..}}`: the same [in space](space.md)",
     )
     birth: Birth | None = Field(
         default=None, description="where targets come from besides the given start boxes; default nowhere"
