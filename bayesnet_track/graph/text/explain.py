@@ -268,7 +268,7 @@ def _unknown_key(word: str, owner: Any, parent: _Step, path: KeyPath, positions:
     message = positions.message(
         path, fault, fields or "no settings", word=word, candidates=candidates, on_key=True
     )
-    hint = (_misplaced(word, parent.value, owner) if fields else "") or _home(word)
+    hint = (_misplaced(word, parent.value, owner) if fields else "") or hint_of(message) or _home(word)
     return replace(message, nearest="", hint=hint) if hint else message
 
 
