@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from math import gcd
 from pathlib import Path
 from sys import maxsize
-from typing import Any, Literal, SupportsIndex
+from typing import Literal, SupportsIndex
 
 import numpy as np
 
-from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.engine.step import Engine, make_engine
+from bayesnet_track.engine.step import Engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.checks.cues import cue_parameters, plugin_parameters
 from bayesnet_track.graph.checks.queries import input_columns
@@ -267,17 +266,6 @@ def place_cues(
     return stack.enter_context(executing).engine(engine, RETRIES if waits else 0)
 
 
-def prepare_engine(
-    graph: CheckedGraph,
-    seed: int,
-    motion: MotionModel | None,
-    detectors: Mapping[str, Any],
-) -> Engine:
-    """The engine of a run, with the `detectors` of files by the names that it has for them; as `track`."""
-    motions = None if motion is None else dict.fromkeys(graph.targets, motion)
-    return make_engine(graph, seed, motion=motions, detectors=detectors)
-
-
 def resizing_of(source: FrameSource, max_side: int | None) -> Resizing:
     """The resizing of the frames of a source, which is told of it; raises ValueError if they have depth."""
     resizing = Resizing.to(source.width, source.height, max_side)
@@ -288,14 +276,8 @@ def resizing_of(source: FrameSource, max_side: int | None) -> Resizing:
     return resizing
 
 
-def small_files(graph: CheckedGraph, recipe: Recipe, truth: str | None = None) -> dict[str, bytes]:
-    """The request as files by their key in `FILES`; `truth` is the truth.txt of a built-in scene."""
-    texts = {"graph": graph.text, "truth": truth, "recipe": recipe.text()}
-    return {key: text.encode("utf-8") for key, text in texts.items() if text is not None}
-
-
 def held_files(directory: RunDirectory, truth: str | None) -> dict[str, bytes]:
-    """The same of a run that goes on, as they are now, but for the scene's `truth`.
+    """The small files of a run that goes on, as they are now, but for the scene's `truth`.
 
     Raises:
         OutputError: one cannot be read or written.

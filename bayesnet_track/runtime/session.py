@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import partial, wraps
 from os import PathLike
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any, Literal, ParamSpec, cast
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.queries import check_forecasts
 from bayesnet_track.engine.starts import Start, StartError, check_depth, check_given
+from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.spec import GraphSpec
 from bayesnet_track.graph.text.load import load_graph
@@ -27,22 +29,21 @@ from bayesnet_track.runtime.arguments import (
     make_checkpointer,
     milliseconds,
     place_cues,
-    prepare_engine,
     resizing_of,
     say_unused_by_cues,
-    small_files,
     whole_argument,
 )
 from bayesnet_track.runtime.checkpoints.checkpoint import EVERY_S, Checkpoints
 from bayesnet_track.runtime.checkpoints.origins import file_sha256, model_files, steady
-from bayesnet_track.runtime.checkpoints.recipe import make_recipe, options_of
+from bayesnet_track.runtime.checkpoints.recipe import Recipe, make_recipe, options_of
 from bayesnet_track.runtime.executors import Executing, make_executor
 from bayesnet_track.runtime.given_scans import check_scans, given_detector, source_or_times
 from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.recording.beliefs import check_kept
 from bayesnet_track.runtime.recording.manifest import finish_run, lock_run, replace_run, settle
-from bayesnet_track.runtime.recording.record import Forecaster, Recorder
+from bayesnet_track.runtime.recording.record import FilePositions, Forecaster, Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
+from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import (
     FrameSource,
     InputsAt,
@@ -63,6 +64,7 @@ from bayesnet_track.runtime.several_cameras import (
 )
 from bayesnet_track.runtime.stop import closed_at_exit
 from bayesnet_track.sources.detection_files import FileDetector
+from bayesnet_track.sources.scan_files import ScanFile
 from bayesnet_track.sources.several import SeveralSources
 from bayesnet_track.sources.sources import open_source
 
@@ -206,64 +208,22 @@ def track(
         check_steady = stack.enter_context(steady([*model_files(checked), *files_given.values(), replayed]))
         read = {str(path): file_sha256(path) for path in files_given.values()}
         external_inputs = as_inputs(inputs)
-        how: dict[str, Any] = {
-            "allow_network": allow_network,
-            "stride": stride,
-            "live": live,
-            "value_range": value_range,
-        }
-        named: Any = detections
-        frames: Any = (
-            source if checked.several_cameras else source_or_times(cast(Any, source), checked, named)
-        )
         executing = make_executor(executor, workers=workers) if isinstance(executor, str) else executor
-        if checked.several_cameras and not isinstance(frames, SeveralSources):
-            opened: FrameSource = stack.enter_context(open_cameras(checked, frames, named, executing, **how))
-        elif isinstance(frames, str | PathLike):
-            opened = stack.enter_context(open_source(str(frames), **how))
-        elif stride != 1 or live is not None or value_range is not None:
-            defaults = {
-                "stride": stride == 1,
-                "live": live is None,
-                "value_range": value_range is None,
-            }
-            option = next(name for name, is_usual in defaults.items() if not is_usual)
-            raise ValueError(f"{option} is for a source that is opened here; this one is open already")
-        elif not hasattr(frames, "width"):
-            raise TypeError(
-                f"track: a source of type {type(frames).__name__}; allowed: the path of a video, a folder or "
-                "a pattern of images, or what open_source gives; for frames in memory use Tracker.init and "
-                "update"
-            )
-        else:
-            opened = frames
+        how = {"allow_network": allow_network, "stride": stride, "live": live, "value_range": value_range}
+        opened = _open_frames(stack, checked, source, detections, executing, how)
         check_given(checked, starts, opened.width, opened.height)
-        resizing = resizing_of(opened, max_side)
+        prepared = prepare(checked, opened, max_side, files_given, seed, motion)
         for start in starts:
-            resizing.start(start)  # raises before anything is written
-        resized = resizing.graph(checked)
-        detectors = {
-            camera: resizing.detector(given_detector(resized, Path(path)))
-            for camera, path in files_given.items()
-        }
-        engine = prepare_engine(resized, seed, motion, by_engine_names(detectors))
-        given_frames: list[GivenFrames] = []
-        check_scans(resized, engine, opened, detectors.get(""), files_given.get(""), bool(video))
-        for camera, detector in detectors.items():
-            if isinstance(detector, FileDetector):
-                camera_source = source_of(opened, camera)
-                read_frames = GivenFrames(Path(files_given[camera]), detector.found, frames_of(camera_source))
-                read_frames.say(
-                    resized, (camera_source.width, camera_source.height) if camera else resizing.tracked
-                )
-                given_frames.append(read_frames)
-        say_unused_by_cues(resized, opened)
-        check_depth(engine, opened)
+            prepared.resizing.start(start)  # raises before anything is written
+        whole_image = prepared.detectors.get(""), files_given.get("")
+        check_scans(prepared.resized, prepared.engine, opened, *whole_image, bool(video))
+        given_frames = _say_unused(prepared, files_given)
         if video and executing.hosts != "engine":
             raise ValueError(
                 "an annotated video beside hosts of cameras, which keep the pixels; leave one out"
             )
-        engine = place_cues(stack, executing, engine, opened, budget_ms)
+        engine = place_cues(stack, executing, prepared.engine, opened, budget_ms)
+        prepared = replace(prepared, engine=engine)
         all_sinks: list[Sink] = list(sinks)
         checkpointer: Checkpoints | None = None
         recorder: Recorder | None = None
@@ -294,20 +254,13 @@ def track(
                 ),
             )
             check_steady()
-            files = small_files(checked, recipe, getattr(opened, "truth_text", None))
-            take_place: Callable[[], None] | None = None
-            if directory.holds_run:
-                take_place = partial(replace_run, directory, files)
-            else:
-                directory.clear()
-                _begin(directory, files)
-            recorder = Recorder(
-                directory, checked, interval_of(opened), recipe.optional, before_first=take_place
-            )
-            recorder.longest_side = video_side or recorder.longest_side
-            stack.enter_context(recorder)
-            if horizon:
-                recorder.look_ahead(Forecaster(engine, horizon, resizing))
+            small_texts = {
+                "graph": checked.text,
+                "truth": getattr(opened, "truth_text", None),
+                "recipe": recipe.text(),
+            }
+            files = {key: text.encode() for key, text in small_texts.items() if text is not None}
+            recorder = _open_recorder(stack, directory, files, recipe, prepared)
             all_sinks.append(recorder)
             checkpointer = make_checkpointer(directory, engine, recorder, recipe, checkpoint_every)
             if checkpointer is not None:
@@ -335,6 +288,126 @@ def track(
                 read_frames.say_at_end(last_index)
         if recorder is not None and totals.frames:
             finish_run(directory, recorder.finish(), files)
+
+
+def _open_frames(
+    stack: ExitStack,
+    graph: CheckedGraph,
+    source: Any,
+    detections: Any,
+    executing: Executing,
+    how: dict[str, Any],
+) -> FrameSource:
+    """The source of a run, closed by `stack` where it is opened here; `how` is as of `open_source`."""
+    frames = source if graph.several_cameras else source_or_times(source, graph, detections)
+    if graph.several_cameras and not isinstance(frames, SeveralSources):
+        return stack.enter_context(open_cameras(graph, frames, detections, executing, **how))
+    if isinstance(frames, str | PathLike):
+        return stack.enter_context(open_source(str(frames), **how))
+    defaults = {"stride": 1, "live": None, "value_range": None}
+    for option, default in defaults.items():
+        if how[option] != default:
+            raise ValueError(f"{option} is for a source that is opened here; this one is open already")
+    if not hasattr(frames, "width"):
+        raise TypeError(
+            f"track: a source of type {type(frames).__name__}; allowed: the path of a video, a folder or "
+            "a pattern of images, or what open_source gives; for frames in memory use Tracker.init and "
+            "update"
+        )
+    opened: FrameSource = frames
+    return opened
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A graph made ready for the frames of a source and its files of detections.
+
+    Attributes:
+        graph: in pixels of the source.
+        resized: the same in pixels of the tracked frames.
+        source: where frames come from.
+        resizing: from the source's pixels to the tracked ones.
+        detectors: camera -> detector of its file of detections; "" of a graph without named cameras.
+        engine: made from `resized`.
+    """
+
+    graph: CheckedGraph
+    resized: CheckedGraph
+    source: FrameSource
+    resizing: Resizing
+    detectors: Mapping[str, FileDetector | ScanFile]
+    engine: Engine
+
+
+def prepare(
+    graph: CheckedGraph,
+    source: FrameSource,
+    max_side: int | None,
+    files: Mapping[str, str | PathLike[str]],
+    seed: int,
+    motion: MotionModel | None,
+) -> Prepared:
+    """Make the engine of a run, new or resumed; `files` are those of detections, by camera.
+
+    Raises:
+        DetectorError: a detector cannot be made, or the graph and a file do not go together.
+        SourceError: an agent needs depth, which the source has not.
+        ValueError: frames with depth, or quantities that are no boxes, would be resized.
+    """
+    resizing = resizing_of(source, max_side)
+    resized = resizing.graph(graph)
+    detectors = {
+        camera: resizing.detector(given_detector(resized, Path(path))) for camera, path in files.items()
+    }
+    motions = None if motion is None else dict.fromkeys(resized.targets, motion)
+    engine = make_engine(resized, seed, motion=motions, detectors=by_engine_names(detectors))
+    check_depth(engine, source)
+    return Prepared(graph, resized, source, resizing, detectors, engine)
+
+
+def _say_unused(prepared: Prepared, files: Mapping[str, str | PathLike[str]]) -> list[GivenFrames]:
+    """The frames of each file of detections, after notices of what in files and cues will not be used."""
+    given_frames: list[GivenFrames] = []
+    for camera, detector in prepared.detectors.items():
+        if isinstance(detector, FileDetector):
+            source = source_of(prepared.source, camera)
+            of_camera = GivenFrames(Path(files[camera]), detector.found, frames_of(source))
+            size = (source.width, source.height) if camera else prepared.resizing.tracked
+            of_camera.say(prepared.resized, size)
+            given_frames.append(of_camera)
+    say_unused_by_cues(prepared.resized, prepared.source)
+    return given_frames
+
+
+def _open_recorder(
+    stack: ExitStack,
+    directory: RunDirectory,
+    files: Mapping[str, bytes],
+    recipe: Recipe,
+    prepared: Prepared,
+) -> Recorder:
+    """The recorder of a new run, which takes the place of an earlier one with its first frame."""
+    take_place: Callable[[], None] | None = None
+    if directory.holds_run:
+        take_place = partial(replace_run, directory, files)
+    else:
+        directory.clear()
+        _begin(directory, files)
+    recorder = Recorder(
+        directory, prepared.graph, interval_of(prepared.source), recipe.optional, before_first=take_place
+    )
+    stack.enter_context(recorder)
+    set_recorder(recorder, recipe, prepared)
+    return recorder
+
+
+def set_recorder(
+    recorder: Recorder, recipe: Recipe, prepared: Prepared, written: FilePositions | None = None
+) -> None:
+    """Set size of the video and horizon of forecasts as the recipe of the run has them."""
+    recorder.longest_side = recipe.video_side or recorder.longest_side
+    if recipe.horizon:
+        recorder.look_ahead(Forecaster(prepared.engine, recipe.horizon, prepared.resizing), written)
 
 
 def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:

@@ -109,14 +109,14 @@ def test_detections_that_change_while_they_are_loaded_are_refused(
 ) -> None:
     detections = tmp_path / "found.txt"
     detections.write_text("1,-1,270,190,40,40,0.9,-1,-1,-1\n")
-    prepare: Callable[..., object] = session.prepare_engine
+    prepare: Callable[..., object] = session.prepare
 
     def then_rewritten(*given: object) -> object:
         engine = prepare(*given)
         rewritten(detections)
         return engine
 
-    monkeypatch.setattr(session, "prepare_engine", then_rewritten)
+    monkeypatch.setattr(session, "prepare", then_rewritten)
     source = SceneSource.named("two_squares", 0, 2)
     with pytest.raises(SourceError, match=r"found\.txt': changed while it was read"):
         track(births(tmp_path), source, detections=detections, out=tmp_path / "run")

@@ -10,7 +10,6 @@ from os import PathLike
 from pathlib import Path
 
 from bayesnet_track.belief.contract import MotionModel
-from bayesnet_track.engine.starts import check_depth
 from bayesnet_track.engine.step import Engine
 from bayesnet_track.journal import disk
 from bayesnet_track.journal.codec import to_json
@@ -27,8 +26,6 @@ from bayesnet_track.runtime.arguments import (
     make_checkpointer,
     opaque_agents,
     place_cues,
-    prepare_engine,
-    resizing_of,
 )
 from bayesnet_track.runtime.checkpoints.checkpoint import (
     EVERY_S,
@@ -56,10 +53,9 @@ from bayesnet_track.runtime.checkpoints.standing import (
     standing,
 )
 from bayesnet_track.runtime.executors import Executing, make_executor
-from bayesnet_track.runtime.given_scans import given_detector
 from bayesnet_track.runtime.pace import Deadline
 from bayesnet_track.runtime.recording.manifest import finish_run, lock_run, settle, settle_broken, tidy
-from bayesnet_track.runtime.recording.record import FilePositions, Forecaster, Recorder
+from bayesnet_track.runtime.recording.record import FilePositions, Recorder
 from bayesnet_track.runtime.recording.rundir import FILES, RunDirectory
 from bayesnet_track.runtime.resizing import Resizing
 from bayesnet_track.runtime.results import (
@@ -72,7 +68,7 @@ from bayesnet_track.runtime.results import (
     interval_of,
 )
 from bayesnet_track.runtime.run import Resumed, RunPosition, run
-from bayesnet_track.runtime.several_cameras import by_engine_names
+from bayesnet_track.runtime.session import prepare, set_recorder
 from bayesnet_track.runtime.stop import closed_at_exit
 
 __all__ = ["ResumeError", "resume"]
@@ -153,17 +149,10 @@ def resume(
         moves = _permit_move(recipe, checkpoint, allow_other_machine, say)
         open_camera = executing.open_camera if at_hosts else None
         opened = stack.enter_context(recipe.opened(open_camera)) if source is None else source
-        resizing = resizing_of(opened, recipe.max_side)
-        resized = resizing.graph(graph)
-        detection_files = recipe.detection_files
-        detectors = {
-            camera: resizing.detector(given_detector(resized, file.place))
-            for camera, file in detection_files.items()
-        }
-        engine = prepare_engine(resized, recipe.seed, motion, by_engine_names(detectors))
-        check_depth(engine, opened)
+        files = {camera: file.place for camera, file in recipe.detection_files.items()}
+        prepared = prepare(graph, opened, recipe.max_side, files, recipe.seed, motion)
         budget_ms = recipe.budget_ms
-        engine = place_cues(stack, executing, engine, opened, budget_ms)
+        engine = place_cues(stack, executing, prepared.engine, opened, budget_ms)
         chosen_inputs = recipe.inputs.place if inputs is None and recipe.inputs is not None else inputs
         earlier_inputs = inputs_before(directory)
         external_inputs = _external_inputs(earlier_inputs, as_inputs(chosen_inputs))
@@ -175,7 +164,7 @@ def resume(
         resumed: Resumed | None = None
         if checkpoint is not None:
             check_outputs(directory, checkpoint, say)
-            reach = partial(_reach, checkpoint, engine, resizing)
+            reach = partial(_reach, checkpoint, engine, prepared.resizing)
             resumed = replace(_skip(opened, checkpoint.frame, reach, totals, say), events=moves)
         # From here on files are changed.
         _keep_pending(directory, earlier_inputs, -1 if checkpoint is None else checkpoint.frame)
@@ -183,21 +172,10 @@ def resume(
         if checkpoint is not None and "mot" in checkpoint.written.positions and not directory.mot.exists():
             checkpoint = _without_mot(directory, checkpoint)
         small_files = held_files(directory, getattr(opened, "truth_text", None))
-        recorder = stack.enter_context(
-            Recorder(
-                directory,
-                graph,
-                interval_of(opened),
-                recipe.optional,
-                None if checkpoint is None else checkpoint.written,
-            )
-        )
-        recorder.longest_side = recipe.video_side or recorder.longest_side
-        if recipe.horizon:
-            recorder.look_ahead(
-                Forecaster(engine, recipe.horizon, resizing),
-                None if checkpoint is None else checkpoint.written,
-            )
+        written = None if checkpoint is None else checkpoint.written
+        recorder = Recorder(directory, graph, interval_of(opened), recipe.optional, written)
+        stack.enter_context(recorder)
+        set_recorder(recorder, recipe, replace(prepared, engine=engine), written)
         if checkpoint is not None and recipe.has_video:
             with recipe.opened() as reopened:
                 recorder.redraw((item for item in reopened if isinstance(item, Frame)), checkpoint.frame)
@@ -212,7 +190,7 @@ def resume(
             sinks=[*sinks, recorder],
             summary=totals,
             engine=engine,
-            inputs={file.path: file.sha256 for file in detection_files.values()},
+            inputs={file.path: file.sha256 for file in recipe.detection_files.values()},
             external_inputs=external_inputs,
             deadline=(
                 None
