@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -162,7 +162,8 @@ class Tracker(HasBox, Storable):
                 `max_side`, or does not touch the frame, there is none and nothing is born, the frame is no
                 picture, no agent can start from it, or `time_s` is no time. The tracker stays as it was.
         """
-        refuse_unknown("init", unknown)
+        if unknown:
+            refuse_unknown("init", unknown)
         with self._turns.take("init"):
             clock = self._clock.tick(time_s, ANEW)
             levels = Levels("frame 0", self._levels.value_range)
@@ -215,7 +216,8 @@ class Tracker(HasBox, Storable):
                 the last one, or `time_s` is no time or is given with some frames only; the tracker stays as
                 it was.
         """
-        refuse_unknown("update", unknown)
+        if unknown:
+            refuse_unknown("update", unknown)
         with self._turns.take("update"):
             standing = self._now
             if standing is None:
@@ -247,7 +249,8 @@ class Tracker(HasBox, Storable):
         Raises:
             RuntimeError: `init` was not called.
         """
-        return next((box for _, box in _live(self._started)), NO_BOX)
+        first = _first_live(self._started)
+        return NO_BOX if first is None else first[1]
 
     def predict(self, frames: int = 1) -> tuple[Forecast, ...]:
         """Forecast each target 1 to `frames` nominal intervals after the last frame, with regions.
@@ -339,16 +342,20 @@ class Tracker(HasBox, Storable):
     def status(self) -> str:
         """tracking, uncertain, lost or hidden after the last frame, of the first target; lost without any."""
         standing = self._started
-        first = next((target for target, _ in _live(standing)), None)
+        first = _first_live(standing)
         if first is None:
             return "lost"
-        net = standing.state.net.targets[first]
+        target, _ = first
+        net = standing.state.net.targets[target]
         plate = self._graph.targets[net.template]
         rule = plate.inference(plate.root).guarantee
-        state = standing.state.targets[first]
-        status = net.status if rule is None else reported_status(net.status, state.scored, rule)
         modes = self._engine.plates[net.template].modes
-        if modes is None or not modes.can_hide:
+        can_hide = modes is not None and modes.can_hide
+        if rule is None and not can_hide:
+            return net.status
+        state = standing.state.targets[target]
+        status = net.status if rule is None else reported_status(net.status, state.scored, rule)
+        if modes is None or not can_hide:
             return status
         return status_by_modes(status, modes, mode_probabilities(state.belief, len(modes)))
 
@@ -364,11 +371,13 @@ class Tracker(HasBox, Storable):
         return () if self._now is None else self._now.events
 
 
-def _live(standing: Standing) -> Iterator[tuple[str, tuple[float, ...]]]:
-    """Each target of the last frame that is live after it, and its centre box; makes no lines."""
+def _first_live(standing: Standing) -> tuple[str, tuple[float, ...]] | None:
+    """The first target of the last frame that is live after it, and its centre box; makes no lines."""
     (ids, boxes, _), live = Lines.of(standing.metrics).places, standing.state.net.targets
-    targets = zip(ids, map(tuple, boxes.tolist()), strict=True)
-    return ((target, box) for target, box in targets if target in live)
+    for target, box in zip(ids, boxes.tolist(), strict=True):
+        if target in live:
+            return target, tuple(box)
+    return None
 
 
 def _first_line(standing: Standing) -> FrameMetrics | None:
