@@ -245,7 +245,8 @@ class DetectionsTracker(Storable):
                 it, or one that is no picture or of another size than before; a time that is not later than
                 the last one, or with `lag_s` one that is final. The tracker stays as it was.
         """
-        refuse_unknown("update", unknown)
+        if unknown:
+            refuse_unknown("update", unknown)
         with self._turns.take("update"):
             arrival = Arrival(time_s, detections, frame)
             if self._window is None:

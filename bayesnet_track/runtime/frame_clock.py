@@ -138,10 +138,10 @@ class FrameClock:
         return rounded if abs(time - rounded) <= slack and rounded > self.time else time
 
 
-def refuse_unknown(call: str, unknown: dict[str, Never]) -> None:
+def refuse_unknown(call: str, unknown: dict[str, Never]) -> Never:
     """Refuse keywords that a call has not, with a word on the one for times; raises TypeError."""
-    for name in unknown:
-        raise TypeError(f"{call}() has no argument {name!r}; the time of a frame, in seconds, is time_s=")
+    name = next(iter(unknown))
+    raise TypeError(f"{call}() has no argument {name!r}; the time of a frame, in seconds, is time_s=")
 
 
 def checked_seconds(time_s: float) -> float:

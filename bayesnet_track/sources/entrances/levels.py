@@ -217,6 +217,9 @@ class Levels:
         if self.value_range is not None and image.dtype != self._dtype:
             raise PictureError(f"{image.dtype} values, and a range that counts those of {self._dtype}")
         converted = to_bgr(image, self.value_range)
+        if converted[0] is image:  # the usual case: nothing is lost
+            self._is_said = True
+            return converted
         self.look(image, converted[0])
         for explain in tuple(self._unsaid):
             reason = explain(image)
