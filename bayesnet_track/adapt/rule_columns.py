@@ -80,7 +80,8 @@ def remember_frame(inputs: RuleColumns, memory: RuleMemory) -> tuple[RuleMemory,
     memory = _with_contributions(inputs, memory, _with_uds(inputs, memory))
     shape = memory.counts.shape
     streaks = Streaks(np.zeros(shape, np.bool_), np.zeros(shape), np.zeros(shape, np.bool_))
-    _read_agents(inputs, memory, streaks)
+    if layout.rules:
+        _read_agents(inputs, memory, streaks)
     for node in layout.nodes:
         _govern(inputs, memory, node, streaks)
     two_levels = _judge(inputs, memory, streaks)
@@ -218,7 +219,7 @@ def _read_agents(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> N
     cannot be seen, and the agents are needed when it comes back.
     """
     rules = memory.layout.rules
-    rows = [inputs.see(row) for row in range(len(inputs))] if rules else ()
+    rows = [inputs.see(row) for row in range(len(inputs))]
     is_seen = inputs.statuses < STATUSES.index("lost")
     for key, agent in rules:
         rule, column = inputs.plate.agent(agent).rules[key], memory.layout.streaks[key, agent]
@@ -251,9 +252,10 @@ def _judge(inputs: RuleColumns, memory: RuleMemory, streaks: Streaks) -> bool:
     target is known to be hidden, nor where its modes say whether it is; that UD is high is one.
     """
     rule = inputs.plate.lost
-    score, columns = inputs.existence, memory.layout.streaks
-    low = None if rule.existence_rule is None else rule.existence_rule[1]
-    if score is None or low is None:
+    score, low, columns = inputs.existence, None, memory.layout.streaks
+    if score is not None and rule.existence_rule is not None:
+        low = rule.existence_rule[1]
+    if low is None:
         score, low = inputs.score, rule.score_below
     high = low if rule.uncertain_below is None else rule.uncertain_below
     if score is None or low is None or high is None:

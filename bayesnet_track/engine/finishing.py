@@ -49,7 +49,7 @@ from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats
 from bayesnet_track.numerics.records import LazyRecords, evolve
 from bayesnet_track.observation.cue import Reference
-from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache, read_only
+from bayesnet_track.observation.planes import FramePair, PlaneCache, read_only
 
 NO_IMAGE = read_only(np.zeros((0, 0, 3), dtype=np.uint8))
 
@@ -223,6 +223,8 @@ class Results:
     @cached_property
     def order(self) -> Sequence[str]:
         """All targets."""
+        if not self.gaussians:
+            return self.others
         ids = [group.ids for group in self.gaussians]
         return ids[0] if len(ids) == 1 and not self.others else [*chain(*ids, self.others)]
 
@@ -268,7 +270,7 @@ def finish_targets(
     start = work.charge("measure", start)
     learnt = [learn_group(work, group) for group in judged]
     work.charge("learn", start)
-    bare = evolve(work, cache=PlaneCache(FramePair(_without_image(work.frame), None)))
+    bare = evolve(work, cache=PlaneCache(FramePair(evolve(work.frame, image=NO_IMAGE, depth=None), None)))
     tables = [
         FinishedGroup(
             bare, rows_of_table, judged_group, learnt_group, {}, partial(rows_of_table.summaries, bare)
@@ -297,10 +299,6 @@ def _covariances(gaussians: Sequence[FilteredGaussians], filtered: FilteredTarge
     """Target -> (D, D) covariance of its belief."""
     rows = (zip(group.ids, group.columns.covariance, strict=True) for group in gaussians)
     return {**dict(chain(*rows)), **find_covariances(filtered)}
-
-
-def _without_image(frame: Frame) -> Frame:
-    return evolve(frame, image=NO_IMAGE, depth=None)
 
 
 def _with_level(event: DistractorSeen, outcome: ScoreOutcome) -> DistractorSeen:
@@ -347,6 +345,12 @@ def _groups_of(work: FrameContext, filtered: FilteredTargets) -> list[LiveGroup]
             group = group.take(fits)
         if fits:
             groups.append(LiveGroup(group, [work.net.targets[target] for target in group.ids]))
+    return groups + _groups_of_each(work, objects) if objects else groups
+
+
+def _groups_of_each(work: FrameContext, objects: Sequence[Filtered]) -> list[LiveGroup]:
+    """Targets that no array holds, with their MAP states found."""
+    groups: list[LiveGroup] = []
     find_map_states(target.step for target in objects)
     by_key: dict[Hashable, list[Filtered]] = {}
     nets: dict[str, TargetNet] = {}

@@ -90,7 +90,7 @@ def learn_group(work: FrameContext, group: JudgedGroup) -> LearntGroup:
     is_learning = any(any(values_of_agent) for values_of_agent in rates.values())
     fields = filtered.fields
     angles = group.states[:, fields.index(ANGLE)] if ANGLE in fields else None
-    news = () if filtered.keeps_status else _meeting(work, group)
+    news = _meeting(work, group) if compiled.looking and not filtered.keeps_status else ()
     if not is_learning and not news and (filtered.keeps_status or not group.chosen):
         return LearntGroup(filtered.references, shares, angles=angles)
     lesson, checks, free = partial(_lesson, work, group), dict[int, GuardVerdict](), rates

@@ -177,9 +177,9 @@ def with_load(work: FrameContext, outcome: Outcome, timing: Iterable[LateFrame |
 
 def with_external_inputs(outcome: Outcome, inputs: ExternalInputs) -> Outcome:
     """The outcome with what came from outside, its notices first."""
-    notices: tuple[Event, ...] = (*inputs.availability.events, *inputs.refused)
-    if not notices and not inputs.to_repeat:
+    if not (inputs.inputs or inputs.availability.reported):
         return outcome
+    notices: tuple[Event, ...] = (*inputs.availability.events, *inputs.refused)
     return evolve(outcome, events=(*notices, *outcome.events), external_inputs=inputs.to_repeat)
 
 

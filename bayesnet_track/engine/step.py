@@ -177,8 +177,10 @@ def compile_stages(engine: Engine) -> tuple[Stage, ...]:
 def _open_frame(engine: Engine, state: State, frame: Frame, external_inputs: Iterable[Input]) -> Batch:
     """The batch that the first stage is given."""
     inputs = route_inputs(engine, state.net, frame.index, external_inputs)
-    previous = None if state.previous is None else engine.with_inputs(state.previous)
-    cache = PlaneCache(FramePair(engine.with_inputs(frame), previous))
+    previous = state.previous
+    if engine.inputs:
+        frame, previous = engine.with_inputs(frame), previous and engine.with_inputs(previous)
+    cache = PlaneCache(FramePair(frame, previous))
     births = state.history.births
     work = FrameContext(engine, state.net, cache, births, inputs.availability, inputs.by_hand)
     nothing = JointBelief(FilteredTargets([], {}, []), state.joins)
@@ -233,8 +235,9 @@ def filter_targets(batch: Batch) -> Batch:
         return batch
     work, targets, singles = batch.work, batch.targets, dict[str, Filtered]()
     filtered = FilteredTargets(filter_rows(work, targets), singles, targets.order)
-    for ready, stepped in ready_each(work, {target: targets[target] for target in filtered.missing()}):
-        singles[ready.target] = filter_ready(work, ready, stepped)
+    if missing := filtered.missing():
+        for ready, stepped in ready_each(work, {target: targets[target] for target in missing}):
+            singles[ready.target] = filter_ready(work, ready, stepped)
     return evolve(batch, joint=JointBelief(filtered, batch.state.joins))
 
 

@@ -97,6 +97,8 @@ class ParticleTable:
 
     def columns(self) -> RuleMemory:
         """The rules' memory of all."""
+        if self.memories is not None and len(self.nets) == len(self.base):
+            return self.memories
         memories = [state.memory for state in self.base[len(self.nets) :]]
         return RuleMemory.join(memories if self.memories is None else [self.memories, *memories])
 

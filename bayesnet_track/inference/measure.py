@@ -34,6 +34,7 @@ from bayesnet_track.observation.cue import Hypotheses
 Rest = tuple[Sequence[Sequence[float]], Sequence[Sequence[float]], Sequence[Sequence[float]]]
 
 
+@lru_cache(maxsize=64)
 def is_flat(target: CheckedTarget) -> bool:
     """True where the only beliefs of a net are the root's and its agents', and its rules ask for no more."""
     return len(target.children) == 1 and fits_rows(target)

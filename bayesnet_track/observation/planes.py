@@ -417,20 +417,17 @@ class PlaneCache:
 
     def _on(self, plane: Plane, region: Region) -> Array:
         with self._locks.setdefault(plane, Lock()):
-            return self._found_or_made(plane, region)
-
-    def _found_or_made(self, plane: Plane, region: Region) -> Array:
-        entries = self._held.setdefault(plane, [])
-        for covered, values in entries:
-            if covered.contains(region):
-                return values if plane.is_points else _cut(values, covered, region)
-        computed = self._to_make(plane, region)
-        inputs = tuple(self._on(p, computed) for p in plane.inputs)
-        values = read_only(plane.compute(self.frames, inputs, computed))
-        if computed is self._whole:
-            entries.clear()
-        entries.append((computed, values))
-        return values if plane.is_points else _cut(values, computed, region)
+            entries = self._held.setdefault(plane, [])
+            for covered, values in entries:
+                if covered.contains(region):
+                    return values if plane.is_points else _cut(values, covered, region)
+            computed = self._to_make(plane, region)
+            inputs = tuple(self._on(p, computed) for p in plane.inputs)
+            values = read_only(plane.compute(self.frames, inputs, computed))
+            if computed is self._whole:
+                entries.clear()
+            entries.append((computed, values))
+            return values if plane.is_points else _cut(values, computed, region)
 
     def _to_make(self, plane: Plane, region: Region) -> Region:
         """The region on which the plane is computed when it is asked for on `region`."""

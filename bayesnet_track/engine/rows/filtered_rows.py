@@ -404,4 +404,6 @@ class FilteredTargets(Mapping[str, Filtered]):
 
     def missing(self) -> list[str]:
         """Targets in neither."""
+        if len(self) == len(self.order):
+            return []
         return [target for target in self.order if target not in self]

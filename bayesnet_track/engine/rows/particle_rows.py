@@ -17,7 +17,6 @@ from bayesnet_track.belief.contract import hypotheses_of
 from bayesnet_track.belief.motion.borders import Confined, confined
 from bayesnet_track.belief.motion.composed import kinematics_of
 from bayesnet_track.belief.motion.models import KinematicMotion, draws_twice, propagate_rows
-from bayesnet_track.belief.particles.adaptive_size import start_size
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.belief.particles.particle_set import Clouds
 from bayesnet_track.engine.attachment import particles
@@ -60,7 +59,7 @@ def _tables(
     singles, moves = dict(arranged.others), dict[str, PredictedMotion]()
     key: Hashable
     for table in arranged.particles:
-        if not _asks_here(work, table.compiled, table.plan):
+        if work.availability.known or not _scores_here(table.compiled, table.plan):
             continue
         limit = work.net.targets[table.ids[0]].most_particles
         shape = table.clouds.states.shape[1:]
@@ -86,7 +85,7 @@ def _tables(
             observation.agent not in adapted.references for observation in adapted.plan.observations
         ):
             continue
-        if not _asks_here(work, compiled, adapted.plan):
+        if work.availability.known or not _scores_here(compiled, adapted.plan):
             continue
         if compiled.moving is not None and adapted.motion_context is not None:
             predicted = _predict(work, compiled, adapted, live.status == "lost")
@@ -131,11 +130,11 @@ def plate_fits(compiled: CompiledPlate) -> bool:
     )
 
 
-def _asks_here(work: FrameContext, compiled: CompiledPlate, plan: Plan) -> bool:
+@lru_cache(maxsize=64)
+def _scores_here(compiled: CompiledPlate, plan: Plan) -> bool:
     """True if all agents of a plan, one at least, are at work here and score hypotheses of the root."""
     return (
-        not work.availability.known
-        and len(plan.observations) > 0
+        len(plan.observations) > 0
         and not (plan.draws or plan.views)
         and not any(
             observation.measures or is_elsewhere(compiled.cues[observation.agent])
@@ -184,9 +183,11 @@ def _move(work: FrameContext, table: ParticleTable, motion: Confined) -> tuple[F
     belief = within(compiled.belief, work.net.targets[table.ids[0]].most_particles)
     streams, free, dt = work.engine.streams, motion.motion, frame.time - table.time
     assert isinstance(belief, ParticleFilter)
+    size = belief.settings.size
+    assert isinstance(size, int)  # else the plate does not fit
     births, moment = work.births_of(table.ids), work.moment
     shifts = streams.uniforms(births, root, moment, "resample")
-    parents = look_up_even_of_each(table.clouds.weights, shifts, start_size(belief.settings))
+    parents = look_up_even_of_each(table.clouds.weights, shifts, size)
     draws: Iterable[np.random.Generator] = streams.of_each(births, root, moment, "propagate")
     if not isinstance(free, KinematicMotion) or draws_twice(free):
         draws = [streams.of(birth, root, moment, "propagate") for birth in births]
