@@ -87,7 +87,8 @@ def learn_errors(
 ) -> tuple[CameraErrors, Mapping[str, Filtered], tuple[ClockLearnt, ...]]:
     """The errors of cameras after the frame, the targets with them, and what is reported of clocks.
 
-    What surely moves is evidence of clocks, and every target of biases.
+    What surely moves is evidence of clocks, and every target of biases, each by its measurements alone: a
+    target that likelihoods have narrowed would be compared with as if they were right.
     """
     prior = errors_at(work, history)
     assert prior is not None
@@ -96,9 +97,10 @@ def learn_errors(
         copy, belief = plate_errors(work.plate_of(target), prior), filtered_target.step.posterior
         if copy is None or not isinstance(belief, GaussianPosterior):
             continue
-        columns = copy.columns if surely_moves(belief) else [*chain.from_iterable(copy.bias_of.values())]
+        moments = belief.measured or (belief.mean, belief.covariance)
+        columns = copy.columns if surely_moves(*moments) else [*chain.from_iterable(copy.bias_of.values())]
         if columns:
-            messages.append(copy.message(belief.mean, belief.covariance, columns))
+            messages.append(copy.message(*moments, columns))
     errors, news = prior.after(messages).report()
     events = tuple(
         ClockLearnt(
@@ -132,12 +134,12 @@ MOVES = 4.0
 """A target is evidence of a clock if its speed is so many standard deviations."""
 
 
-def surely_moves(belief: GaussianPosterior) -> bool:
+def surely_moves(mean: Floats, covariance: Floats) -> bool:
     """True if a target's velocity is clearly another than 0.
 
     Of one that stands the velocity is the noise of its detections, and so is what a clock would follow from.
     """
-    velocity, spread = belief.mean[4:6], belief.covariance[4:6, 4:6]
+    velocity, spread = mean[4:6], covariance[4:6, 4:6]
     return float(velocity @ np.linalg.solve(spread, velocity)) > MOVES**2
 
 
@@ -158,7 +160,8 @@ def _adopted(copy: PlateErrors | None, filtered: Filtered) -> Filtered:
     if copy is None or not isinstance(belief, GaussianPosterior):
         return filtered
     mean, covariance = copy.adopted(belief.mean, belief.covariance)
-    posterior = evolve(belief, mean=mean, covariance=covariance)
+    measured = belief.measured and copy.adopted(*belief.measured)
+    posterior = evolve(belief, mean=mean, covariance=covariance, measured=measured)
     return evolve(filtered, step=evolve(filtered.step, posterior=posterior, find_map=lambda: mean))
 
 
@@ -233,8 +236,11 @@ class Watched:
         belief = target.belief
         if self.shift is None or not isinstance(belief, GaussianPosterior):
             return target
-        mean, covariance = self.move(belief.mean[None], belief.covariance[None])
-        return evolve(target, belief=evolve(belief, mean=mean[0], covariance=covariance[0]))
+        moments = [(belief.mean, belief.covariance), *([belief.measured] if belief.measured else [])]
+        means, covariances = self.move(*map(np.array, zip(*moments, strict=True)))
+        measured = (means[1], covariances[1]) if belief.measured else None
+        belief = evolve(belief, mean=means[0], covariance=covariances[0], measured=measured)
+        return evolve(target, belief=belief)
 
     def move_tracks(self, model: DetectionModel) -> DetectionModel:
         """Unconfirmed tracks with the knock of this frame."""

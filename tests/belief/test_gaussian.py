@@ -181,6 +181,20 @@ def test_likelihoods_are_no_evidence_of_the_errors_of_cameras(motion_of, stream_
         assert np.linalg.eigvalsh(posterior.covariance)[0] > -1e-9
         assert posterior.mean[0] > predicted.mean[0] + 1.0
 
+    # What the errors are learnt from is the belief as it would be without likelihoods, in every later frame
+    scored = unscored = prior
+    for seed, measured in enumerate([(164.0, 118.0, 61.0), (167.0, 121.0, 59.0), (165.0, 117.0, 60.0)]):
+        also = log_density if seed != 1 else None
+        step = belief.step(scored, motion, 1.0, gaussian_messages(measured, also), stream_of(seed, 2))
+        scored = step.posterior
+        unscored = belief.step(
+            unscored, motion, 1.0, gaussian_messages(measured), stream_of(seed, 2)
+        ).posterior
+        assert unscored.measured is None
+        np.testing.assert_allclose(scored.measured[0], unscored.mean, rtol=1e-12)
+        np.testing.assert_allclose(scored.measured[1], unscored.covariance, rtol=1e-9, atol=1e-12)
+        assert abs(scored.mean[0] - unscored.mean[0]) > 0.1
+
 
 def test_two_messages_are_one_of_both(motion_of):
     """Updates one after the other, in either order, equal the joint one; the evidences add up."""

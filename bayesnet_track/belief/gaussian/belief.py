@@ -23,12 +23,13 @@ from bayesnet_track.belief.contract import (
     WeightedStates,
     hypotheses_of,
 )
-from bayesnet_track.belief.gaussian.rows import stand_for_each, take_each, update_by_normals
+from bayesnet_track.belief.gaussian.rows import Moments, stand_for_each, take_each, update_by_normals
 from bayesnet_track.belief.gaussian.update import (
     Gated,
     MeasurementUpdate,
     SigmaPoints,
     fit_moments,
+    is_uninformative,
     log_message,
     match_moments,
 )
@@ -171,12 +172,15 @@ class GaussianPosterior:
         covariance: (D, D), symmetric, positive semidefinite.
         fields: names of the D columns.
         size: number of hypotheses at which it asks for likelihoods.
+        measured: mean and covariance of the same state by measurements alone, which errors of cameras are
+            learnt from; None where no likelihood has told more.
     """
 
     mean: Floats
     covariance: Floats
     fields: tuple[str, ...]
     size: int
+    measured: Moments | None = None
 
     def __len__(self) -> int:
         return self.size
@@ -234,7 +238,9 @@ class GaussianFilter:
     ) -> GaussianPosterior:
         """The belief after `dt` frame intervals without evidence; `rng` is not used."""
         mean, covariance = predict(prior.mean, prior.covariance, motion, dt, self.settings)
-        return posterior_of(mean, covariance, prior.fields, prior.size, motion)
+        predicted = posterior_of(mean, covariance, prior.fields, prior.size, motion)
+        measured = prior.measured and predict(*prior.measured, motion, dt, self.settings)
+        return predicted if measured is None else evolve(predicted, measured=measured)
 
     def step(
         self, prior: GaussianPosterior, motion: MotionModel, dt: float, evaluate: Evaluate, stream: Stream
@@ -284,12 +290,29 @@ class GaussianFilter:
         ]
         is_unscented, choices = settings.filter == "unscented", together.choices
         updates = take_each(moments, motion.fields, measured, settings.gate, is_unscented, choices)
-        return [
+        steps = [
             self._stepped(motion, likelihood[2], start, points, evidence_of_target, end)
             for likelihood, start, points, evidence_of_target, end in zip(
                 weighed, predictions, point_sets, evidence, updates, strict=True
             )
         ]
+        # Update by measurements alone, where likelihoods have told more of what errors of cameras depend on
+        if not shared_columns(motion):
+            return steps
+        is_scored = [not (choices or is_uninformative(sampled_of(each))) for each in evidence]
+        has_more = [bool(prior.measured) or scored for prior, scored in zip(priors, is_scored, strict=True)]
+        if not any(has_more):
+            return steps
+        expected = [
+            start if prior.measured is None else predict(*prior.measured, motion, dt, settings)
+            for start, prior in zip(predictions, priors, strict=True)
+        ]
+        by_measurements = take_each(expected, motion.fields, measured, settings.gate, is_unscented, choices)
+        for row, update in enumerate(by_measurements):
+            if has_more[row]:
+                posterior = evolve(steps[row].posterior, measured=(update.mean, update.covariance))
+                steps[row] = evolve(steps[row], posterior=posterior)
+        return steps
 
     def _weigh(
         self, predicted: tuple[Floats, Floats], points: SigmaPoints, evidence: Evidence, motion: MotionModel

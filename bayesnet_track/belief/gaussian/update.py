@@ -176,7 +176,7 @@ class SigmaPoints:
     beta: LogWeights
 
 
-def _is_flat(log_likelihood: Floats) -> bool:
+def is_uninformative(log_likelihood: Floats) -> bool:
     """True when no hypothesis is likelier than another, up to rounding."""
     low, high = float(log_likelihood.min()), float(log_likelihood.max())
     return math.isfinite(high) and high - low <= FLAT * max(1.0, abs(high))
@@ -195,7 +195,7 @@ def match_moments(
     Raises:
         DegenerateWeights: no hypothesis has a positive, finite weight.
     """
-    if _is_flat(log_likelihood):
+    if is_uninformative(log_likelihood):
         return mean, covariance, float(points.beta.weights @ log_likelihood)
     with np.errstate(invalid="ignore"):  # -inf + inf is NaN, which `times` refuses
         weights, log_evidence = points.beta.times(log_likelihood)
