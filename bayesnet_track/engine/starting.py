@@ -214,10 +214,12 @@ def restart(work: FrameContext, target: str, template: str, box: Floats, state: 
 
 
 def _parts(compiled: CompiledPlate, box: Floats, frame: Frame) -> dict[str, Floats]:
-    """Part -> its centre box (4,) in a target that fills `box`."""
-    return {
-        part: inside_frame(part_box, frame) for part, part_box in nominal_boxes(compiled.plate, box).items()
-    }
+    """Part -> its centre box (4,) in a target that fills `box`, its other fields as they start on average."""
+    if not compiled.part_of:
+        return {}
+    fields = dict(zip(compiled.motion.fields, compiled.motion.start_moments(box)[0].tolist(), strict=True))
+    parts = nominal_boxes(compiled.plate, box, fields)
+    return {part: inside_frame(part_box, frame) for part, part_box in parts.items()}
 
 
 def _first_lesson(

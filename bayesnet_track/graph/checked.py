@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from bayesnet_track.graph.expressions.terms import Term
+from bayesnet_track.graph.expressions.terms import PARENT, Term, names_in
 from bayesnet_track.graph.spec import AgentNode, GraphSpec, InferenceNode, Lost, Target, html_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.outlines import GroundView
@@ -44,6 +44,12 @@ class Conditional:
 
     fields: Mapping[str, Term]
     constants: Mapping[str, float]
+
+    @property
+    def reads(self) -> frozenset[str]:
+        """Fields of the parent that they use."""
+        words = (word for term in self.fields.values() for word in names_in(term))
+        return frozenset(word.removeprefix(PARENT) for word in words if word.startswith(PARENT))
 
 
 PAST = "@"

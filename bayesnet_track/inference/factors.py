@@ -153,7 +153,7 @@ def _names(
         **frames.names,
         **{name: hypotheses.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
         "mode": 0.0,  # where a place is asked about, and no hypothesis: the first mode
-        **{PARENT + name: parents.boxes[:, k] for k, name in enumerate(BOX_FIELDS)},
+        **_of_parents(parents),
         **hypotheses.fields,
         **step.constants,
         **({} if step.mask is None else {MASK: step.mask}),
@@ -222,21 +222,22 @@ LEAST_SIDE = 1.0
 
 def draw_given(
     conditional: Conditional,
-    parents: Floats,
-    rng: np.random.Generator,
+    parents: Hypotheses,
+    rng: np.random.Generator | None,
     undefined: MutableMapping[str, Undefined] | None = None,
 ) -> Floats:
-    """(N, 4) own boxes, one drawn for each of the parent's (N, 4).
+    """(N, 4) own boxes, one drawn for each of the N parents; without `rng` with the median of each field.
 
     Where an expression has no value, or its distribution has none, the field is the parent's; `undefined`
     then says so by field.
     """
-    boxes = parents.copy()
+    boxes = parents.boxes.copy()
     for column, name, term in _fields(conditional):
         parameters = parameters_of(term, _latent_names(conditional, parents, boxes), len(parents))
-        values = draw(distribution_of(term), parameters, rng)
+        distribution = distribution_of(term)
+        values = median(distribution, parameters) if rng is None else draw(distribution, parameters, rng)
         is_defined = np.isfinite(values)
-        boxes[:, column] = np.where(is_defined, values, parents[:, column])
+        boxes[:, column] = np.where(is_defined, values, parents.boxes[:, column])
         if undefined is not None and not is_defined.all():
             undefined.setdefault(name, Undefined(int((~is_defined).sum()), len(is_defined)))
         if column >= 2:
@@ -244,62 +245,57 @@ def draw_given(
     return boxes
 
 
-def usual_boxes(conditional: Conditional, parents: Floats) -> Floats:
-    """(N, 4) own boxes with the median of each field, for parents (N, 4)."""
-    boxes = parents.copy()
-    for column, _, term in _fields(conditional):
-        parameters = parameters_of(term, _latent_names(conditional, parents, boxes), len(parents))
-        middle = median(distribution_of(term), parameters)
-        boxes[:, column] = np.where(np.isfinite(middle), middle, parents[:, column])
-        if column >= 2:
-            np.maximum(boxes[:, column], LEAST_SIDE, out=boxes[:, column])
-    return boxes
+def linearise_given(
+    conditional: Conditional, parent: Floats, names: Sequence[str] = ()
+) -> tuple[Floats, Floats, Floats]:
+    """Own box (4,) at the parent's mean (4 + F,), its Jacobian (4, 4 + F) by that mean, covariance (4, 4).
 
-
-def linearise_given(conditional: Conditional, parent: Floats) -> tuple[Floats, Floats, Floats]:
-    """Own box (4,) at the parent's mean box (4,), its Jacobian (4, 4) by that box, and covariance (4, 4).
-
-    c = own + A (h - parent) + noise, by numerical derivatives: exact where means are linear and sds constant.
-    What is drawn is normal. A field without a value is the parent's, as in `draw_given`.
+    The mean is of the parent's box and of F fields with `names`. c = own + A (h - parent) + noise, by
+    numerical derivatives: exact where means are linear and sds constant. What is drawn is normal. A field
+    without a value is the parent's, as in `draw_given`.
     """
-    box, by_parent, noise = parent.copy(), np.eye(4), np.zeros((4, 4))
-    moves = np.concatenate([np.zeros((1, 8)), STEP * np.eye(8), -STEP * np.eye(8)])
+    box, by_parent, noise = parent[:4].copy(), np.eye(4, len(parent)), np.zeros((4, 4))
+    steps = STEP * np.eye(len(parent) + 4)
+    moves = np.concatenate([np.zeros((1, len(steps))), steps, -steps])
+    shifted = parent + moves[:, : len(parent)]
+    parents = Hypotheses(shifted[:, :4], dict(zip(names, shifted[:, 4:].T, strict=True)))
     for column, _, term in _fields(conditional):
-        parents, mine = parent + moves[:, :4], box + moves[:, 4:]
+        mine = box + moves[:, len(parent) :]
         parameters = parameters_of(term, _latent_names(conditional, parents, mine), len(moves))
         sd = float(parameters[1, 0]) if distribution_of(term) else 0.0
-        slopes = (parameters[0, 1:9] - parameters[0, 9:]) / (2.0 * STEP)
+        slopes = (parameters[0, 1 : len(steps) + 1] - parameters[0, len(steps) + 1 :]) / (2.0 * STEP)
         if not (
             np.isfinite(parameters[0]).all() and np.isfinite(sd) and (sd > 0 or not distribution_of(term))
         ):
             continue
         box[column] = max(parameters[0, 0], LEAST_SIDE) if column >= 2 else parameters[0, 0]
-        by_earlier = slopes[4 : 4 + column]
-        by_parent[column] = slopes[:4] + by_earlier @ by_parent[:column]
+        by_earlier = slopes[len(parent) : len(parent) + column]
+        by_parent[column] = slopes[: len(parent)] + by_earlier @ by_parent[:column]
         noise[column] = by_earlier @ noise[:column]
         noise[column, column] += sd
     return box, by_parent, noise @ noise.T
 
 
-def log_given(conditional: Conditional, parents: Floats, boxes: Floats) -> Floats:
-    """(N, M) log p(c_j | h_i) of own boxes (M, 4), for parents (N, 4), over the fields that are drawn.
+def log_given(conditional: Conditional, parents: Hypotheses, boxes: Floats) -> Floats:
+    """(N, M) log p(c_j | h_i) of own boxes (M, 4), for N parents, over the fields that are drawn.
 
     -inf where a field that has a value, or is the parent's, differs from it.
     """
     log = np.zeros((len(parents), len(boxes)))
     written = {column: term for column, _, term in _fields(conditional)}
     columns = {name: boxes[None, :, k] for k, name in enumerate(BOX_FIELDS)}
-    names = {**_of_parents(parents[:, :, None]), **columns, **conditional.constants}
+    rows = {name: values[:, None] for name, values in _of_parents(parents).items()}
+    names = {**rows, **columns, **conditional.constants}
     for column in range(len(BOX_FIELDS)):
         term = written.get(column)
         if term is None:
-            values = parents[:, column, None]
+            values = parents.boxes[:, column, None]
         elif distribution_of(term):
             log = log + log_values(term, {**names, DRAWN: boxes[None, :, column]})
             continue
         else:
             values = np.broadcast_to(values_of(term, names), log.shape)
-            values = np.where(np.isfinite(values), values, parents[:, column, None])
+            values = np.where(np.isfinite(values), values, parents.boxes[:, column, None])
             values = np.maximum(values, LEAST_SIDE) if column >= 2 else values
         if np.ptp(values) > 0:
             log = np.where(
@@ -314,13 +310,14 @@ def _fields(conditional: Conditional) -> list[tuple[int, str, Term]]:
     ]
 
 
-def _latent_names(conditional: Conditional, parents: Floats, boxes: Floats) -> Names:
+def _latent_names(conditional: Conditional, parents: Hypotheses, boxes: Floats) -> Names:
     mine = {name: boxes[:, k] for k, name in enumerate(BOX_FIELDS)}
     return {**_of_parents(parents), **mine, **conditional.constants}
 
 
-def _of_parents(parents: Floats) -> dict[str, Floats]:
-    return {PARENT + name: parents[:, k] for k, name in enumerate(BOX_FIELDS)}
+def _of_parents(parents: Hypotheses) -> dict[str, Floats]:
+    fields = {**dict(zip(BOX_FIELDS, parents.boxes.T, strict=True)), **parents.fields}
+    return {PARENT + name: values for name, values in fields.items()}
 
 
 def read_as(measured: Measurement, functions: MeasuredAs, frames: FramePair) -> Measurement:

@@ -144,7 +144,7 @@ def latent_gaussian(
         floor = float(np.prod([message.floor**power for message, power in gaussians.values()]))
     directions = _Directions(centre, shape, unshape)
     if isinstance(given, Conditional):
-        return _by_slopes(given, parents.boxes, beta, directions, (precision, shift), floor)
+        return _by_slopes(given, parents, beta, directions, (precision, shift), floor)
     return _in_fields(given, beta @ parents.boxes, directions, precision, shift, floor)
 
 
@@ -233,7 +233,7 @@ def _in_fields(
 
 def _by_slopes(
     conditional: Conditional,
-    boxes: Floats,
+    parents: Hypotheses,
     beta: Floats,
     directions: _Directions,
     form: tuple[Floats, Floats],
@@ -241,20 +241,23 @@ def _by_slopes(
 ) -> Measurement | None:
     """The Gaussian in u, its precision and shift `form`, over the fields of the parent that it depends on.
 
-    Of the parent's `boxes` (N, 4), with weights `beta` (N,), the fields that vary. Directions that it does
-    not tell apart have 1e6 times the parent's variance.
+    Of the N `parents`, with weights `beta` (N,), the fields that vary. Directions that it does not tell apart
+    have 1e6 times the parent's variance.
     """
     precision, shift = form
-    parent = beta @ boxes
-    sd = np.sqrt(beta @ (boxes - parent) ** 2)
-    box, slopes, noise = linearise_given(conditional, parent)
+    added = tuple(name for name in parents.fields if name in conditional.reads)
+    names = (*BOX_FIELDS, *added)
+    states = _values(parents, names)
+    parent = beta @ states
+    sd = np.sqrt(beta @ (states - parent) ** 2)
+    box, slopes, noise = linearise_given(conditional, parent, added)
     unshape = directions.unshape
     looks = unshape.T @ slopes * sd  # u = looks (h - parent) / sd + start + noise
     start = unshape.T @ (box - directions.centre)
     wider = np.linalg.inv(np.eye(len(shift)) + precision @ (unshape.T @ noise @ unshape))
     information = looks.T @ wider @ precision @ looks
     pull = looks.T @ wider @ (shift - precision @ start)
-    fields = [k for k in range(len(BOX_FIELDS)) if information[k, k] > KNOWN]
+    fields = [k for k in range(len(names)) if information[k, k] > KNOWN]
     if not fields:
         return None
     own_part, turn = np.linalg.eigh((information + information.T)[np.ix_(fields, fields)] / 2)
@@ -262,7 +265,7 @@ def _by_slopes(
     offset = turn[:, usable] @ ((turn[:, usable].T @ pull[fields]) / own_part[usable])
     covariance = (turn / np.maximum(own_part, KNOWN)) @ turn.T * np.outer(sd[fields], sd[fields])
     mean = parent[fields] + sd[fields] * offset
-    return Measurement(tuple(BOX_FIELDS[k] for k in fields), mean, (covariance + covariance.T) / 2, floor)
+    return Measurement(tuple(names[k] for k in fields), mean, (covariance + covariance.T) / 2, floor)
 
 
 def _noise(given: Given, parent: Floats) -> Floats:

@@ -240,7 +240,7 @@ def join_messages(
                     gaussians[fusion.node] = matched if view is None else through(view, matched)
             elif fusion.written is not None:
                 if fusion.own == "kernel":
-                    log_kernel = log_given(fusion.written, parents.boxes, draws.boxes)
+                    log_kernel = log_given(fusion.written, parents, draws.boxes)
                     total = sum_kernel(log_kernel, prior_log, total)
                 rests[fusion.node] = total
             else:
@@ -352,7 +352,7 @@ def _draw_latent(
         rng = observer.stream(f"latent {step.node}{suffix}")
         if step.written is not None:
             flawed: dict[str, Undefined] = {}
-            drawn_boxes = draw_given(step.written, parents.boxes, rng, flawed)
+            drawn_boxes = draw_given(step.written, parents, rng, flawed)
             hypotheses_of[step.node] = Hypotheses(drawn_boxes, parents.fields)
             for name, flaw in flawed.items():
                 observer.factors.undefined.setdefault(f"given {step.node}.{name}", flaw)

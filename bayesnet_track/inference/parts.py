@@ -26,9 +26,10 @@ from bayesnet_track.belief.contract import Evidence
 from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.spec import Given
 from bayesnet_track.inference.compile import Fusion, Plan
-from bayesnet_track.inference.factors import usual_boxes
+from bayesnet_track.inference.factors import draw_given
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import DegenerateWeights, LogWeights
+from bayesnet_track.observation.cue import Hypotheses
 
 
 def part_matrix(given: Given) -> Floats | None:
@@ -61,32 +62,37 @@ def part_boxes(given: Given, parents: Floats) -> Floats:
     return boxes
 
 
-def nominal_boxes(target: CheckedTarget, box: Floats) -> dict[str, Floats]:
-    """Part -> its mean box (4,) for a target in the centre box (4,)."""
+def nominal_boxes(target: CheckedTarget, box: Floats, fields: Mapping[str, float]) -> dict[str, Floats]:
+    """Part -> its mean box (4,) for a target in the centre box (4,), with further `fields` of its state."""
     boxes_of: dict[str | None, Floats] = {None: box}
     parts: dict[str, Floats] = {}
+    columns = {name: np.array([value]) for name, value in fields.items()}
     for name in target.order:
         if name not in target.children:
             continue
         boxes_of[name] = boxes_of[target.parent[name]]
-        fuse = target.inference(name).fuse
-        if fuse is not None and fuse.latent is not None and fuse.latent.given.is_part:
-            parent_boxes, written = boxes_of[name][None], target.givens.get(name)
+        place = _part_of(target, name)
+        if place is not None:
+            parents, written = Hypotheses(boxes_of[name][None], columns), target.givens.get(name)
             boxes = (
-                part_boxes(fuse.latent.given, parent_boxes)
-                if written is None
-                else usual_boxes(written, parent_boxes)
+                part_boxes(place, parents.boxes) if written is None else draw_given(written, parents, None)
             )
             parts[name] = boxes_of[name] = boxes[0]
     return parts
 
 
+def _part_of(target: CheckedTarget, name: str) -> Given | None:
+    """The place of a part in its parent's box; None of a node that is no part."""
+    fuse = target.inference(name).fuse if name in target.children else None
+    place = None if fuse is None or fuse.latent is None else fuse.latent.given
+    return place if place is not None and place.is_part else None
+
+
 def part_of_agents(target: CheckedTarget) -> dict[str, str]:
     """Agent -> the nearest part above it; agents that look at the whole target are left out."""
-    parts = nominal_boxes(target, np.ones(4))
     nearest: dict[str | None, str | None] = {None: None}
     for name in target.order:
-        nearest[name] = name if name in parts else nearest[target.parent[name]]
+        nearest[name] = nearest[target.parent[name]] if _part_of(target, name) is None else name
     return {agent: part for agent in target.agents if (part := nearest[agent]) is not None}
 
 

@@ -238,6 +238,7 @@ def _expressions() -> str:
         "|---|---|",
         *(f"| `{name}` | {meaning} |" for name, meaning in (STATE_NAMES | FRAME_NAMES).items()),
         f"| `{PARENT}x` ... `{PARENT}h` | the same of the state that a latent node is drawn around |",
+        f"| `{PARENT}vx` ... | a further field of the root's state, at a latent node below it |",
     ]
     return "\n".join(lines) + "\n"
 

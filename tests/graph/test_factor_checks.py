@@ -41,7 +41,8 @@ def test_the_names_are_those_of_the_state(motion, belief, names):
 
 
 @pytest.mark.parametrize(
-    ("belief", "names"), [("particles", (*BOX, *PARENT)), ("gaussian", BOX), ("grid", BOX)]
+    ("belief", "names"),
+    [("particles", (*BOX, *PARENT, "parent.vx", "parent.vy")), ("gaussian", BOX), ("grid", BOX)],
 )
 def test_a_latent_node_has_a_box_of_its_own(belief, names):
     plate = plate_of({"motion": "constant_velocity"}, {**LATENT, "belief": belief})

@@ -43,13 +43,13 @@ def nothing():
 def asked(fakes):
     """(nodes, agent -> cue or what an oracle sees, boxes, prior log-weights) -> plan, evidence."""
 
-    def run(nodes, sees, boxes, beta=None, active=None, seed=0, observer=None):
+    def run(nodes, sees, boxes, beta=None, active=None, seed=0, observer=None, fields=None):
         plate, _ = fakes.plate(nodes)
         cues = {agent: fakes.Oracle(see) if callable(see) else see for agent, see in sees.items()}
         plan = compile_plan(plate, cues if active is None else active, cues)
         log = np.full(len(boxes), -np.log(len(boxes))) if beta is None else np.asarray(beta)
         observer = observer or fakes.observer(cues, seed=seed)
-        return plan, evaluate(plan, observer, Hypotheses(boxes), log)
+        return plan, evaluate(plan, observer, Hypotheses(boxes, fields or {}), log)
 
     return run
 

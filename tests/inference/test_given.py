@@ -10,10 +10,10 @@ from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.rows import take
 from bayesnet_track.graph.checked import Conditional
 from bayesnet_track.graph.expressions.parse import parse
-from bayesnet_track.inference.factors import draw_given, linearise_given, log_given, usual_boxes
+from bayesnet_track.inference.factors import draw_given, linearise_given, log_given
 from bayesnet_track.inference.parts import nominal_boxes
 from bayesnet_track.journal.events.faults import FlawEnded, MotionFlawed
-from bayesnet_track.observation.cue import Measurement
+from bayesnet_track.observation.cue import Hypotheses, Measurement
 
 PARENT = np.array([50.0, 40.0, 20.0, 30.0])
 
@@ -24,7 +24,7 @@ def written(**fields):
 
 
 def parents(size=4000):
-    return np.tile(PARENT, (size, 1))
+    return Hypotheses(np.tile(PARENT, (size, 1)))
 
 
 @pytest.mark.parametrize(
@@ -45,9 +45,9 @@ def test_draws_and_densities_are_those_of_the_distribution(text, exact):
     given = written(x=text, constants={"offset": 6.0})
     boxes = draw_given(given, parents(), np.random.default_rng(5))
     assert stats.kstest(boxes[:, 0], exact.cdf).pvalue > 1e-4
-    np.testing.assert_array_equal(boxes[:, 1:], parents()[:, 1:])
-    np.testing.assert_allclose(log_given(given, PARENT[None], boxes[:50]), exact.logpdf(boxes[:50, :1]).T)
-    assert usual_boxes(given, PARENT[None])[0, 0] == pytest.approx(exact.median())
+    np.testing.assert_array_equal(boxes[:, 1:], parents().boxes[:, 1:])
+    np.testing.assert_allclose(log_given(given, parents(1), boxes[:50]), exact.logpdf(boxes[:50, :1]).T)
+    assert draw_given(given, parents(1), None)[0, 0] == pytest.approx(exact.median())
 
 
 def test_a_field_may_depend_on_those_before_it():
@@ -59,25 +59,31 @@ def test_a_field_may_depend_on_those_before_it():
     np.testing.assert_allclose(covariance, exact, rtol=5 * np.sqrt(2 / 4000))
     np.testing.assert_allclose(boxes[:, 2], boxes[:, 1] / 4)
     expected = stats.multivariate_normal(PARENT[:2], exact).logpdf(boxes[:9, :2])
-    np.testing.assert_allclose(log_given(given, PARENT[None], boxes[:9])[0], expected)
+    np.testing.assert_allclose(log_given(given, parents(1), boxes[:9])[0], expected)
 
 
 def test_what_is_not_drawn_agrees_or_is_impossible():
     given = written(x="normal(parent.x, 5)", w="parent.h / 2")
-    above = np.array([PARENT, PARENT + [0, 0, 0, 4]])
+    above = Hypotheses(np.array([PARENT, PARENT + [0, 0, 0, 4]]))
     own = draw_given(given, above, np.random.default_rng(1))
     assert np.isfinite(log_given(given, above, own)).tolist() == [[True, False], [False, True]]
 
 
+TURNS = {"expressions": {"fields": {"turn": {"sd": 1}}, "sd": {"x": 1, "y": 1, "turn": 0.1}}}
+
+
+@pytest.mark.parametrize("by", ["place", "angle"])
 @pytest.mark.parametrize(("draw", "size", "error"), [("one", 40_000, 0.02), ("kernel", 600, 0.05)])
-def test_messages_are_the_integral(asked, fakes, draw, size, error):
-    """Two places of the parent; Laplace around them; an agent that sees the child at 56. By quadrature."""
+def test_messages_are_the_integral(asked, fakes, draw, size, error, by):
+    """Two places or angles of the parent; Laplace around them; an agent that sees the child at 56."""
     places, beta = np.array([50.0, 62.0]), np.array([0.7, 0.3])
-    boxes = np.repeat([[x, 40.0, 20.0, 20.0] for x in places], size // 2, axis=0)
+    boxes = np.repeat([[x if by == "place" else 50, 40.0, 20.0, 20.0] for x in places], size // 2, axis=0)
     log = np.repeat(np.log(beta / (size // 2)), size // 2)
-    given = {"x": "laplace(parent.x, 4)"}
-    nodes = {"s": {}, "n": {"parent": "s", "fuse": {"latent": {"given": given, "draw": draw}}}, "a": "n"}
-    _, evidence = asked(nodes, {"a": fakes.gaussian(56, 40, 3)}, boxes, beta=log)
+    given = {"x": "laplace(parent.x, 4)" if by == "place" else "laplace(parent.x + 12 * cos(parent.turn), 4)"}
+    latent = {"parent": "s", "fuse": {"latent": {"given": given, "draw": draw}}}
+    fields = {} if by == "place" else {"turn": np.repeat([np.pi / 2, 0.0], size // 2)}
+    nodes = {"s": {"motion": TURNS} if fields else {}, "n": latent, "a": "n"}
+    _, evidence = asked(nodes, {"a": fakes.gaussian(56, 40, 3)}, boxes, beta=log, fields=fields)
     cells = np.linspace(-50, 160, 40_001)
     likelihood = np.exp(-0.5 * ((cells - 56) / 3) ** 2)
     exact = [integrate.trapezoid(stats.laplace(x, 4).pdf(cells) * likelihood, cells) for x in places]
@@ -87,9 +93,9 @@ def test_messages_are_the_integral(asked, fakes, draw, size, error):
 
 def test_where_a_distribution_is_none_the_field_is_the_parents():
     given, flawed = written(x="normal(parent.x, parent.y - 40)", y="normal(parent.y, 0 / 0)"), {}
-    above = np.array([PARENT, PARENT + [0, 9, 0, 0]])
+    above = Hypotheses(np.array([PARENT, PARENT + [0, 9, 0, 0]]))
     boxes = draw_given(given, above, np.random.default_rng(2), flawed)
-    np.testing.assert_array_equal(boxes[:, 1], above[:, 1])
+    np.testing.assert_array_equal(boxes[:, 1], above.boxes[:, 1])
     assert boxes[0, 0] == 50
     assert boxes[1, 0] != 50
     assert {name: (one.states, one.asked) for name, one in flawed.items()} == {"x": (1, 2), "y": (2, 2)}
@@ -113,7 +119,7 @@ def test_agents_below_learn_at_the_median(fakes):
     }
     nodes = {"s": {}, "n": {"parent": "s", "fuse": {"latent": {"given": given}}}, "a": "n"}
     target = fakes.graph(nodes, {"a": fakes.declare(fakes.Oracle(fakes.flat()))}).targets["plate"]
-    np.testing.assert_allclose(nominal_boxes(target, PARENT)["n"], [55, 44, 20, 15])
+    np.testing.assert_allclose(nominal_boxes(target, PARENT, {})["n"], [55, 44, 20, 15])
 
 
 # ------------------------------------------------------------------------------------ as a Gaussian
@@ -178,6 +184,21 @@ def test_a_gaussian_belief_is_that_of_the_joint_gaussian(asked, measuring):
     predicted = np.array([53, 40 - 11.7 + 1.5])
     np.testing.assert_allclose(after.mean, PARENT + gain @ (seen - predicted), atol=1e-3)
     np.testing.assert_allclose(after.covariance, spread - gain @ looks @ spread, atol=1e-2)
+
+
+def test_a_gaussian_message_is_about_every_field_that_the_part_depends_on(asked, measuring):
+    """A hand 30 px from a shoulder: near angle 0 its y is 30 times the angle, to first order."""
+    given = {"x": "normal(parent.x + 30 * cos(parent.turn), 1)", "y": "parent.y + 30 * sin(parent.turn)"}
+    nodes = gaussian_nodes(given) | {"s": {"motion": TURNS, "belief": "gaussian"}}
+    draws = np.random.default_rng(4).standard_normal((400, 2)) * [3.0, 0.01]
+    boxes, turns = np.tile(PARENT, (400, 1)), draws[:, 1] - draws[:, 1].mean()
+    boxes[:, 0] += draws[:, 0]
+    sees = {"m": measuring.place(84.0, 43.0)}
+    _, evidence = asked(nodes, sees, boxes, fields={"turn": turns})
+    ((_, message),) = evidence.gaussians.items()
+    assert message.fields == ("x", "turn")
+    np.testing.assert_allclose(message.mean, [54, 0.1], atol=1e-2)
+    np.testing.assert_allclose(np.diag(message.covariance), [9 + 1, 9 / 900], rtol=1e-3)
 
 
 def test_what_does_not_depend_on_the_parent_says_nothing_of_it(asked, measuring):

@@ -214,7 +214,7 @@ def test_where_parts_lie_and_who_looks_at_them(fakes):
             **{"a": "color", "b": "color", "c": "badge", "d": "root"},
         }
     )
-    boxes = nominal_boxes(plate, np.array([100.0, 50.0, 40.0, 80.0]))
+    boxes = nominal_boxes(plate, np.array([100.0, 50.0, 40.0, 80.0]), {})
     assert boxes["torso"].tolist() == [104.0, 66.0, 20.0, 40.0]
     assert boxes["badge"].tolist() == [94.0, 66.0, 20.0, 4.0]
     assert part_of_agents(plate) == {"a": "torso", "b": "torso", "c": "badge"}

@@ -124,7 +124,7 @@ def names_at(plate: Plate, node: str) -> tuple[str, ...]:
         assert fuse is not None and fuse.latent is not None
         draws = belief is None or belief.particles is not None or latent == plate.roots[0]
         has_parent = draws and fuse.latent.draw != "kernel"
-        state = (*BOX, *(f"{PARENT}{field}" for field in BOX if has_parent))
+        state = (*BOX, *(plate.parent_names(latent) if has_parent else ()))
     elif is_seen(plate.spec, node):
         state = BOX
     else:
@@ -374,7 +374,7 @@ def givens_can_be_read(plate: Plate) -> Iterator[GraphMessage]:
         terms: list[Term] = []
         for name, text in conditional.written.items():
             earlier = BOX[: BOX.index(name)]
-            names = (*(PARENT + field for field in BOX), *earlier, "pi", *plate.constants)
+            names = (*plate.parent_names(node), *earlier, "pi", *plate.constants)
             try:
                 terms.append(parse(text, names, draws=True))
             except ExpressionError as error:

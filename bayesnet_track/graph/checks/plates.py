@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from bayesnet_track.graph.checked import Calibration
+from bayesnet_track.graph.expressions.terms import PARENT
 from bayesnet_track.graph.settings.cameras import CameraSource
 from bayesnet_track.graph.settings.motion import Motion
 from bayesnet_track.graph.spec import AgentNode, FactorNode, GraphSpec, InferenceNode, Target
@@ -122,6 +123,11 @@ class Plate:
     def governed(self, node: str) -> list[str]:
         """The agents whose rules are those of `node`."""
         return [agent for agent, governor in self.governor.items() if governor == node]
+
+    def parent_names(self, latent: str) -> tuple[str, ...]:
+        """Names of the state around which a latent node's is drawn: a box, and what the root's state adds."""
+        fields = () if is_seen(self.spec, latent) else further_fields(self.inference[self.roots[0]])
+        return tuple(f"{PARENT}{name}" for name in (*BOX, *fields))
 
     def message(
         self,

@@ -114,16 +114,16 @@ def _nested(key: str, value: Any, model: type[BaseModel]) -> str:
     >>> _nested("particles", 800, Particles), _nested("particles", True, Particles)
     ('write particles: {size: 800}', 'write particles: {}')
     """
+    needed = [name for name, field in model.model_fields.items() if field.is_required()]
     if value is True or value is None:
-        required = any(field.is_required() for field in model.model_fields.values())
-        return "" if required else f"write {key}: {{}}"
-    if not isinstance(value, int | float | str):
-        return ""
+        return "" if needed else f"write {key}: {{}}"
     plain = (str,) if isinstance(value, str) else (int, float)
-    for name, field in model.model_fields.items():
-        kinds = [shape_of(kind).only for kind in shape_of(field.annotation).kinds]
-        if any(kind in plain for kind in kinds):
-            return f"write {key if key != name else 'NAME'}: {{{name}: {value}}}"
+    written = shown_value(value) if {*str(value)} & {*",:#{}[]'\""} else value
+    for name, field in model.model_fields.items() if isinstance(value, plain) else ():
+        shapes = [shape_of(kind) for kind in shape_of(field.annotation).kinds]
+        if any(shape.only in plain and shape.takes(value) for shape in shapes):
+            required = "".join(f"{field_name}: .., " for field_name in needed if field_name != name)
+            return f"write {key if key != name else 'NAME'}: {{{required}{name}: {written}}}"
     return ""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
@@ -27,6 +28,11 @@ class Shape:
     def only(self) -> Any:
         """The single alternative, or None."""
         return self.kinds[0] if len(self.kinds) == 1 else None
+
+    def takes(self, value: Any) -> bool:
+        """True unless a value is no text of the pattern that is needed."""
+        patterns = (pattern for c in self.constraints if (pattern := _get(c, "pattern")))
+        return all(re.search(pattern, str(value)) for pattern in patterns)
 
 
 def shape_of(annotation: Any, constraints: Iterable[Any] = ()) -> Shape:
@@ -243,7 +249,18 @@ def _unknown_constant(match: re.Match[str], message: GraphMessage) -> str:
     prior = f'with a start prior beside the motion, start: {{{name}: "{match["text"]}"}}'
     if "fields" in message.path:
         return f"fields: {{{name}: {{}}}} {prior}"
-    return f"an unknown constant is a field of a motion by expressions, fields: {{{name}: {{}}}}, {prior}"
+    motion = f"motion: {{expressions: {{fields: {{{name}: {{}}}}, sd: {{x: {name}, ..}}}}}}"
+    return f"an unknown constant is a field of a motion by expressions: {motion}, {prior}"
+
+
+def _of_three(match: re.Match[str], _: GraphMessage) -> str:
+    """A join of three targets or more: their kinds in pairs."""
+    kinds = list(dict.fromkeys(re.findall(r"\w+", match["kinds"])))
+    if len(kinds) == 1:
+        pair = f"[{kinds[0]}, {kinds[0]}]"
+        return f"a factor is of two targets, a and b: between: {pair} relates every pair of them"
+    pairs = ", ".join(f"between: [{first}, {second}]" for first, second in pairwise(kinds))
+    return f"a factor is of two targets, a and b; several are related by a join for each pair: {pairs}"
 
 
 def _always(text: str) -> Callable[[re.Match[str], GraphMessage], str]:
@@ -348,11 +365,20 @@ OTHER_FORMS: Sequence[Rule] = (
             "delay is of readings that come late: agent: {readings: {file: FILE.csv, sd: {u: 3}, delay: 2}}"
         ),
     ),
+    (r"^between is \[(?P<kinds>[^\]]*,[^\]]*,[^\]]*)\]", _of_three),
+    (
+        r"beside state: point; allowed: agents of|^state: point without an agent",
+        _always(
+            "a target that is looked at in images, or starts in a box, has a size: leave out `state: point`; "
+            "a point is of sensors, agent: {detection: {sd: {range: 3, bearing: 0.02}, within: ..}}"
+        ),
+    ),
     (
         r"^unknown key 'source'",
         _always(
-            "what another camera measured is given as a file: agent: "
-            "{readings: {file: FILE.csv, sd: {u: 3}}} with measures: {u: ..}"
+            "what another camera measured is given as a file: agent: {readings: {file: FILE.csv, sd: {u: 3, "
+            "v: 3}}} with measures: {u: .., v: ..}; its images are looked at below a view, camera: NAME, of "
+            "a camera with a calibration"
         ),
     ),
     (
