@@ -172,6 +172,28 @@ class Blocks:
         frame = np.concatenate([np.zeros(0, dtype=np.int64), *(block.frame for block in blocks)])
         return Block(frame, {name: self._joined(name, pieces) for name in names})
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Columns of all frames: ``frame`` (N,) int64, ``target`` (N,) texts, and each that is read.
+
+        Texts are (N,) objects; numbers (N,) float64, NaN where a target has none; boxes (N, 4), px.
+
+        Raises:
+            ValueError: no frame has such a column.
+        """
+        block = self.joined([*self])
+        unread = sorted(self._names - {*block.columns, "frame"})
+        if unread and self.rows:
+            lines = self._lines
+            written = next(lines.file.columns()) if isinstance(lines, Measurements) else all_columns(lines)
+            raise ValueError(f"no frame has a column {unread[0]!r}; the first one has: {', '.join(written)}")
+        arrays: dict[str, NDArray[Any]] = {"frame": block.frame}
+        for name in ("target", *sorted(self._names - {"frame", "target"})):
+            if is_text(name):
+                arrays[name] = np.array(self.texts[name].texts, dtype=object)[block.codes(name)]
+            else:
+                arrays[name] = block.numbers(name).T
+        return arrays
+
     def _of_lines(self, lines: Sequence[FrameMetrics]) -> Block:
         columns = {} if not lines else all_columns(lines, CLOUD in self._names)
         selected = {

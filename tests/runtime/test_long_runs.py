@@ -1,5 +1,6 @@
 """A long run is read from its file line by line: every reader says of it what it says of one in memory."""
 
+import numpy as np
 import pytest
 
 from bayesnet_track import Start, open_run, track
@@ -44,6 +45,18 @@ def test_tables_pictures_and_pages_are_the_same(both):
     assert read.timeline() == kept.timeline() and repr(read) == repr(kept)
     assert read._repr_html_() == kept._repr_html_()
     assert read.page().html == kept.page().html
+
+
+def test_arrays_have_the_numbers_of_the_lines(both):
+    kept, read = both
+    arrays = read.arrays("box", "status", "region50", "time_s")
+    fields = {"box": "centre_box"}
+    assert {"frame", "target", "box", "status", "region50", "time_s"} <= arrays.keys()
+    for name, column in arrays.items():
+        values = [getattr(line, fields.get(name, name)) for line in kept.metrics]
+        np.testing.assert_array_equal(column, np.array(values, dtype=column.dtype))
+    with pytest.raises(ValueError, match=r"no frame has a column 'scor'; the first one has: .*score, "):
+        read.arrays("scor", "box")
 
 
 @pytest.fixture
