@@ -298,14 +298,34 @@ def read_start(path: Path, frame: int, form: TruthForm | None = None) -> Start:
 def parse_start(text: str) -> Start:
     """A start from ``x,y,w,h`` or ``plate:x,y,w,h`` (top-left corner, px).
 
+    Or, of several cameras, from ``north=x,y south=x,y``, the points or boxes in which they show it.
+
     Raises:
         UsageError: it is something else.
     """
     from bayesnet_track.runtime.run import Start
 
     plate, _, numbers = text.rpartition(":")
+    if "=" in numbers:
+        return Start(plate=plate or None, points=_parse_points(text, numbers))
     try:
         x, y, w, h = (float(part) for part in numbers.split(","))
     except ValueError:
         raise UsageError(f"--init {text!r}: four numbers X,Y,W,H are needed (top-left corner, px)") from None
     return Start((x, y, w, h), plate or None)
+
+
+def _parse_points(text: str, parts: str) -> dict[str, tuple[float, ...]]:
+    points: dict[str, tuple[float, ...]] = {}
+    for part in parts.split():
+        camera, _, numbers = part.partition("=")
+        try:
+            points[camera] = tuple(float(number) for number in numbers.split(","))
+        except ValueError:
+            points[camera] = ()
+        if len(points[camera]) not in (2, 4):
+            raise UsageError(
+                f"--init {text!r}: of camera {camera} {numbers!r}; allowed: CAMERA=X,Y, a point, or "
+                "CAMERA=X,Y,W,H, a box (px), with spaces between cameras"
+            )
+    return points

@@ -342,7 +342,7 @@ def open_cameras_given(
     """The sources of several cameras, or their detections alone, merged by time; raises UsageError."""
     from bayesnet_track.runtime.several_cameras import open_cameras
 
-    for option in ("right", "stereo", "depth", "calibration", "view", "max_side", "init", "init_from"):
+    for option in ("right", "stereo", "depth", "calibration", "view", "max_side", "init_from"):
         if getattr(options, option, None) is not None:
             name = f"--{option.replace('_', '-')}"
             raise UsageError(f"{name} is of one image, and the graph {graph.spec.name} has several cameras")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -26,13 +26,14 @@ from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.engine.state import TargetState, plan_for
 from bayesnet_track.inference.learn import LearningInputs, learn_first, watch
 from bayesnet_track.inference.parts import nominal_boxes
-from bayesnet_track.inference.views import Placed, Views
+from bayesnet_track.inference.views import GIVEN_SD, Placed, Views, place
 from bayesnet_track.journal.events.faults import Quarantined, Readmitted
 from bayesnet_track.journal.events.lives import TargetStarted
 from bayesnet_track.journal.metrics import FrameMetrics, PartMetrics
 from bayesnet_track.journal.net import Decision
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Floats
+from bayesnet_track.numerics.boxes import centre_from_corner
 from bayesnet_track.numerics.gaussian import root
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Hypotheses, Reference
@@ -53,27 +54,30 @@ def start(
     work: FrameContext,
     target: str,
     template: str,
-    box: Floats,
+    start_place: Floats | CameraPoints,
     birth: str,
     remembered: Mapping[str, Reference] = MappingProxyType({}),
 ) -> Born:
     """A net for the target inside the centre box (4,) of the frame: references learnt, belief placed.
 
-    The belief of the first frame is the box itself; hypotheses spread with the first prediction. An agent
-    that cannot learn its reference, or that needs colour where the frame has none, is out for the whole run;
-    one that gives no answer for a reason outside of it is out for a while, and learns it then.
-    `remembered` are references that agents have already and need not learn. Its draws are keyed by `birth`.
+    Of a target at which somebody points in images of cameras (`CameraPoints`) their agents learn, each how
+    its own camera sees the place on which they agree. The belief of the first frame is the box itself;
+    hypotheses spread with the first prediction. An agent that cannot learn its reference, or that needs
+    colour where the frame has none, is out for the whole run; one that gives no answer for a reason outside
+    of it is out for a while, and learns it then. `remembered` are references that agents have already and
+    need not learn. Its draws are keyed by `birth`.
     """
     compiled, frame = work.engine.plates[template], work.frame
     active = tuple(agent for agent in compiled.plate.agents if compiled.plate.agent(agent).active)
+    belief, box, in_cameras = _start_belief(work, compiled, birth, start_place)
     parts = _parts(compiled, box, frame)
     lesson, availability = (
-        _first_lesson(work, compiled, target, box, parts),
+        _first_lesson(work, compiled, target, box, {**parts, **in_cameras}),
         work.availability_of(target, "starting"),
     )
-    # Those that look through one of several cameras meet the target when that sees it: `start_late`.
-    learning = [agent for agent in compiled.cues if agent not in remembered and agent not in compiled.looking]
-    learnt, faults = learn_first(lesson, learning)
+    # Others that look through one of several cameras meet the target when that sees it: `start_late`.
+    later = {*remembered, *(compiled.looking.keys() - in_cameras.keys())}
+    learnt, faults = learn_first(lesson, [agent for agent in compiled.cues if agent not in later])
     references = {**learnt, **remembered}
     gray = [
         agent
@@ -94,7 +98,7 @@ def start(
     ]
     working = tuple(agent for agent in active if agent not in faults and agent not in availability.missed)
     born = TargetState(
-        belief=_start_belief(work, compiled, birth, box),
+        belief=belief,
         references=references,
         memory=RuleMemory.empty(compiled.plate),
         plan=plan_for(compiled, frozenset(working)),
@@ -105,14 +109,14 @@ def start(
         existence=compiled.first_existence,
         started=frame.index,
     )
-    metrics = _first_frame_metrics(frame, target, born.belief, working, box, parts)
+    metrics = _first_frame_metrics(frame, target, belief, working, box, parts)
     if compiled.plate.inference(compiled.plate.root).start_texts:
-        metrics = _with_start_prior(metrics, compiled, born.belief, box)
+        metrics = _with_start_prior(metrics, compiled, belief, box)
         _say_undefined(compiled, target, box)
     if compiled.views is not None:
-        metrics = evolve(metrics, state=state_numbers(born.belief, on_ground=True))
+        metrics = evolve(metrics, state=state_numbers(belief, on_ground=True))
     if compiled.modes is not None:
-        states = ModeState.of(compiled.modes, born.belief, born.belief, 1.0)
+        states = ModeState.of(compiled.modes, belief, belief, 1.0)
         metrics = with_modes(metrics, states, calibrated=True)
     return Born(born, tuple(decisions), metrics)
 
@@ -202,7 +206,7 @@ def restart(work: FrameContext, target: str, template: str, box: Floats, state: 
     return replace(
         state,
         belief=with_kinds(
-            _start_belief(work, compiled, work.births[target], box),
+            _start_belief(work, compiled, work.births[target], box)[0],
             compiled.modes,
             combination_probabilities(state.belief, compiled.modes),
         ),
@@ -225,28 +229,82 @@ def _parts(compiled: CompiledPlate, box: Floats, frame: Frame) -> dict[str, Floa
 def _first_lesson(
     work: FrameContext, compiled: CompiledPlate, target: str, box: Floats, parts: Mapping[str, Floats]
 ) -> LearningInputs:
-    """Inputs of the agents' first references: planes of its own, on this target's region."""
-    part_boxes = {agent: parts[part] for agent, part in compiled.part_of.items()}
-    cache = PlaneCache(work.cache.frames)
-    return LearningInputs(compiled.cues, cache, Hypotheses(box[None]), part_boxes, work.availability, target)
+    """Inputs of the agents' first references: planes of its own, on this target's region.
+
+    `parts` are the boxes of parts, and of agents in the images of several cameras.
+    """
+    names = {agent: compiled.part_of.get(agent, agent) for agent in compiled.cues}
+    boxes = {agent: parts[name] for agent, name in names.items() if name in parts}
+    cache, estimate = PlaneCache(work.cache.frames), Hypotheses(box[None])
+    return LearningInputs(
+        compiled.cues, cache, estimate, boxes, work.availability, target, cameras=compiled.looking
+    )
 
 
-def _start_belief(work: FrameContext, compiled: CompiledPlate, birth: str, box: Floats) -> Posterior:
-    """The belief of a target that fills `box`."""
+CameraPoints = Mapping[str, Sequence[float]]
+"""Camera -> where its image shows a target: a point x, y or a corner box x, y, w, h, px."""
+
+GIVEN_SD_PX = 2.0
+"""Error of a point that somebody gives as a start, px."""
+
+
+def place_points(views: Views, points: CameraPoints) -> tuple[Placed, dict[str, float]] | None:
+    """Place of a target that images of several cameras show.
+
+    And by how much each camera shows it elsewhere than that place is, px. None where it is nowhere: a
+    point in one camera alone, without a size, has any depth.
+    """
+    showing = [view for view in views.views.values() if view.seen_by in points]
+    numbers = [np.asarray(points[view.seen_by], dtype=np.float64) for view in showing]
+    boxes = [np.append(x, (1.0, 1.0)) if len(x) == 2 else centre_from_corner(x) for x in numbers]
+    of_point = np.array([GIVEN_SD_PX, GIVEN_SD_PX, np.inf, np.inf])
+    sds = [
+        of_point if len(x) == 2 else GIVEN_SD * box[[2, 3, 2, 3]]
+        for x, box in zip(numbers, boxes, strict=True)
+    ]
+    placed = place(showing, np.concatenate(boxes)[None], np.concatenate(sds)[None] ** 2, views.start)
+    if not len(placed.which):
+        return None
+    expected = [view.camera.boxes(placed.states)[0, :2] for view in showing]
+    errors = {
+        view.seen_by: float(np.linalg.norm(box[:2] - point))
+        for view, box, point in zip(showing, boxes, expected, strict=True)
+    }
+    return placed, errors
+
+
+def _start_belief(
+    work: FrameContext, compiled: CompiledPlate, birth: str, start_place: Floats | CameraPoints
+) -> tuple[Posterior, Floats, dict[str, Floats]]:
+    """The belief of a target that starts, and the centre box (4,) that it fills in the image of results.
+
+    And the boxes at which agents look in other images where it is pointed at.
+    """
     motion = confined(compiled.motion, work.frame.width, work.frame.height, work.inputs)
-    stream = work.stream_of(birth, compiled.plate.root)
-    if compiled.views is None:
-        belief: Posterior = compiled.belief.start(box, motion, stream)
-        return belief
-    placed = compiled.views.place(box)
-    if placed is None:
-        if compiled.has_one_image:
-            raise ValueError(f"the box {box.tolist()} of a target on the ground stands nowhere")
-        # The first camera does not see it: it starts as what it was before it was confirmed.
-        anywhere: Posterior = compiled.belief.start(np.array([0.0, 0.0, 1.0, 1.0]), motion, stream)
-        return anywhere
-    placed_belief = compiled.belief.start(placed.states[0], motion, stream)
-    return with_spread(placed_belief, placed, compiled.views, stream("placed"))
+    stream, views = work.stream_of(birth, compiled.plate.root), compiled.views
+    if isinstance(start_place, Mapping):
+        pointed = None if views is None else place_points(views, start_place)
+        if views is None or pointed is None:
+            raise ValueError(f"a target that is nowhere, as cameras show it: {dict(start_place)}")
+        placed_belief = compiled.belief.start(pointed[0].states[0], motion, stream)
+        belief = with_spread(placed_belief, pointed[0], views, stream("placed"))
+        in_cameras = {
+            agent: compiled.boxes_of(agent, belief.mean[None], work.frame)[0]
+            for agent, camera in compiled.looking.items()
+            if camera in start_place and work.frame.of(camera) is not None
+        }
+        return belief, compiled.boxes(belief.mean[None], work.frame)[0], in_cameras
+    placed = None if views is None else views.place(start_place)
+    if views is None:
+        belief = compiled.belief.start(start_place, motion, stream)
+    elif placed is not None:
+        placed_belief = compiled.belief.start(placed.states[0], motion, stream)
+        belief = with_spread(placed_belief, placed, views, stream("placed"))
+    elif compiled.has_one_image:
+        raise ValueError(f"the box {start_place.tolist()} of a target on the ground stands nowhere")
+    else:  # the first camera does not see it: it starts as what it was before it was confirmed
+        belief = compiled.belief.start(np.array([0.0, 0.0, 1.0, 1.0]), motion, stream)
+    return belief, start_place, {}
 
 
 def with_spread(belief: Posterior, placed: Placed, views: Views, rng: np.random.Generator) -> Posterior:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from bayesnet_track.belief.particles.adaptive_size import formulas_in, static_fi
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.engine.frame_context import FrameContext, route_inputs
 from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
+from bayesnet_track.engine.starting import CameraPoints, place_points
 from bayesnet_track.engine.step import Engine, finish_first, start_all
 from bayesnet_track.graph.checked import CheckedGraph
 from bayesnet_track.graph.text.messages import nearest
@@ -37,14 +39,23 @@ class Start:
     Attributes:
         box: top-left corner box x, y, w, h in px, as OpenCV has it.
         plate: name of the plate in the graph; None where it has one.
+        points: in place of `box`, of a target that several cameras see: camera -> where its image shows the
+            target, a point x, y or a corner box x, y, w, h in px.
     """
 
-    box: CornerBox
+    box: CornerBox = (0.0, 0.0, 0.0, 0.0)
     plate: str | None = None
+    points: CameraPoints = field(default_factory=dict, hash=False)
 
 
 MOSTLY_OUTSIDE, SOME_OUTSIDE = 0.5, 0.1
 """Shares of a start box outside of the frame from which it is said: of any, of one that fits as corners."""
+
+DISAGREE_PX = 10.0
+"""From so many px on it is said that the cameras of a start disagree."""
+
+LARGEST = 1 << 20
+"""Sides of images whose size no calibration says, px, as far as start boxes may reach."""
 
 NOISE = 2
 """Gray levels by which the values of a black frame may differ."""
@@ -64,12 +75,15 @@ def check_given(graph: CheckedGraph, starts: Sequence[Start], width: int, height
     for start in starts:
         if start.plate is None and len(graph.targets) > 1:
             box = ",".join(f"{float(value):g}" for value in start.box)
+            if start.points:
+                box = " ".join(f"{name}=.." for name in start.points)
             ways = " or ".join(f"{name}:{box}" for name in graph.targets)
             raise StartError(
                 f"start box {box}: the graph {graph.spec.name} has the classes {', '.join(graph.targets)}, "
                 f"and the box names none; write {ways} (in Python Start(box, {next(iter(graph.targets))!r}))"
             )
-        _say_outside(start.box, width, height)
+        if not start.points:
+            _say_outside(start.box, width, height)
 
 
 def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, height: int) -> None:
@@ -96,6 +110,14 @@ def check_starts(graph: CheckedGraph, starts: Sequence[Start], width: int, heigh
             raise StartError(
                 f"no plate {start.plate!r} in graph {graph.spec.name}; there are {', '.join(graph.targets)}"
                 + (f"; nearest: {suggestion}" if suggestion else "")
+            )
+        if graph.several_cameras:
+            _check_points(graph, start)
+            continue
+        if start.points:
+            raise StartError(
+                f"start as cameras see it ({', '.join(start.points)}): the graph {graph.spec.name} has not "
+                "several cameras; allowed: a box x,y,w,h"
             )
         check_box(start.box, width, height)
         _check_stands(graph, start)
@@ -126,6 +148,50 @@ def _check_stands(graph: CheckedGraph, start: Start) -> None:
         raise StartError(
             f"box {tuple(start.box)} of {plate} stands nowhere on the ground: its foot is at or above the "
             "horizon, or its size fits no place; allowed: a box whose lower edge is where the target stands"
+        )
+
+
+def _check_points(graph: CheckedGraph, start: Start) -> None:
+    """Refuse a start that no camera of the graph shows, or whose target is nowhere; say if they disagree.
+
+    Raises:
+        StartError: of a box in one image, names of other cameras, numbers that are no point or box inside of
+            an image, or a target that is nowhere.
+    """
+    plate = start.plate or next(iter(graph.targets))
+    views = views_of(graph.targets[plate])
+    cameras = [] if views is None else [view.seen_by for view in views.views.values()]
+    example = f"'{cameras[0]}=X,Y {cameras[-1]}=X,Y'" if cameras else ""
+    if not start.points:
+        raise StartError(
+            f"start box {tuple(start.box)} of {plate}, which several cameras see: a box is of one image; "
+            f"allowed: where each camera sees it, {example}"
+        )
+    for camera, numbers in start.points.items():
+        if camera not in cameras:
+            raise StartError(
+                f"start in camera {camera!r}, which {plate} has no view of; allowed: {', '.join(cameras)}"
+            )
+        width, height = graph.several_cameras[camera] or (math.inf, math.inf)
+        point = tuple(float(number) for number in numbers)
+        if len(point) != 2:
+            check_box(point, int(min(width, LARGEST)), int(min(height, LARGEST)))
+        elif not (-0.5 <= point[0] < width - 0.5 and -0.5 <= point[1] < height - 0.5):
+            raise StartError(
+                f"start in camera {camera}: the point {point[0]:g},{point[1]:g} lies outside of its "
+                f"{width}x{height} image"
+            )
+    placed = None if views is None else place_points(views, start.points)
+    if placed is None:
+        raise StartError(
+            f"start of {plate} in {', '.join(start.points)}: no place in front of them is seen there; "
+            "allowed: points in two cameras or more, which show the same point of the target, or boxes"
+        )
+    if max(placed[1].values()) > DISAGREE_PX:
+        each = ", ".join(f"{camera} by {error:.1f} px" for camera, error in placed[1].items())
+        notice(
+            f"start of {plate}: the place that agrees best with all cameras is off in {each}: a point that "
+            "is another one, a calibration that is wrong, or images of different times"
         )
 
 
@@ -223,11 +289,14 @@ def start_targets(
     routed = route_inputs(engine, State().net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(engine.with_inputs(engine.on_clock(frame)), None))
     work = FrameContext(engine, State().net, cache, {}, routed.availability, routed.by_hand)
-    boxes = {
-        str(number): (start.plate or next(iter(graph.targets)), centre_from_corner(start.box))
+    places = {
+        str(number): (
+            start.plate or next(iter(graph.targets)),
+            start.points or np.asarray(centre_from_corner(start.box)),
+        )
         for number, start in enumerate(starts, 1)
     }
-    return with_external_inputs(finish_first(work, start_all(work, State(), boxes)), routed)
+    return with_external_inputs(finish_first(work, start_all(work, State(), places)), routed)
 
 
 def check_started(graph: CheckedGraph, first: Outcome) -> None:

@@ -40,7 +40,7 @@ from bayesnet_track.engine.rows.fitting import row_rule
 from bayesnet_track.engine.rows.particle_rows import filter_rows
 from bayesnet_track.engine.scoring.rivals import without_motion
 from bayesnet_track.engine.scoring.score import LEAST_FRAMES
-from bayesnet_track.engine.starting import start
+from bayesnet_track.engine.starting import CameraPoints, start
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.graph.checked import CheckedGraph
@@ -325,8 +325,10 @@ def start_target(
     return start_all(work, state, {target: (template, box)})
 
 
-def start_all(work: FrameContext, state: State, starts: Mapping[str, tuple[str, Floats]]) -> Outcome:
-    """Start nets: target -> its plate and the centre box (4,) that it fills in the frame."""
+def start_all(
+    work: FrameContext, state: State, starts: Mapping[str, tuple[str, Floats | CameraPoints]]
+) -> Outcome:
+    """Start nets: target -> its plate, and the centre box (4,) that it fills or what cameras show of it."""
     net, targets, births = state.net, dict(state.targets), dict(state.history.births)
     metrics: list[FrameMetrics] = []
     events: list[Event] = []

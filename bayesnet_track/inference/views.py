@@ -15,7 +15,7 @@ from bayesnet_track.graph.settings.cameras import Coordinate, Size
 from bayesnet_track.inference.queries import inside_polygon
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.cameras import UNSEEN
-from bayesnet_track.numerics.outlines import GroundView, cut_covariance, most_probable
+from bayesnet_track.numerics.outlines import GroundView, SeveralViews, cut_covariance, most_probable
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.cue import Hypotheses, Measurement
 from bayesnet_track.observation.planes import Frame
@@ -314,25 +314,27 @@ class Placed:
     cross: Floats
 
 
-def place(view: View, boxes: Floats, variances: Floats, start: Start, agent: str = "") -> Placed:
+def place(views: Sequence[View], boxes: Floats, variances: Floats, start: Start, agent: str = "") -> Placed:
     """The most probable states of targets seen as boxes (N, 4) with errors of variances (N, 4), px.
 
-    What targets are before one is seen, `start` says; otherwise places are equally probable. As of
-    `most_probable`, with errors of the view and of the `agent` that last in R: each moves the state by -K g,
-    K = covariance J' R^-1 and g its effect on the box.
+    Boxes of several views stand beside each other. What targets are before one is seen, `start` says;
+    otherwise places are equally probable. As of `most_probable`, with errors of the views and of the `agent`
+    that last in R: each moves the state by -K g, K = covariance J' R^-1 and g its effect on the box.
     """
-    camera = view.camera
-    lasting = np.zeros((len(boxes), 4, len(view.lasting)))
-    for k, error in enumerate(view.lasting):
-        if error.node in (view.node, agent):
-            lasting[:, :, k] = effects(error, boxes)
-    of_lasting = np.array([error.sd**2 for error in view.lasting])
+    camera = views[0].camera if len(views) == 1 else SeveralViews([view.camera for view in views])
+    errors, lasting = views[0].lasting, np.zeros((*boxes.shape, len(views[0].lasting)))
+    for first, view in enumerate(views):
+        columns = slice(4 * first, 4 * first + 4)
+        for k, error in enumerate(errors):
+            if error.node in (view.node, agent):
+                lasting[:, columns, k] = effects(error, boxes[:, columns])
+    of_lasting = np.array([error.sd**2 for error in errors])
     variances = variances + (lasting**2 @ of_lasting if len(of_lasting) else 0.0)
     spreads = np.array([np.inf if axis is None else axis[1] for axis in start])
     means = np.array([float(k in (2, 3)) if axis is None else axis[0] for k, axis in enumerate(start)])
     with np.errstate(all="ignore"):
         states, covariances, precision, usable = most_probable(camera, boxes, variances, (means, spreads))
-        if view.z is None:
+        if views[0].z is None:
             usable &= np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]) < FARTHEST
     rows = np.flatnonzero(usable)
     weighted = np.swapaxes(camera.jacobian(states[rows]), 1, 2) @ precision[rows]
@@ -405,7 +407,7 @@ class Views:
     def place(self, box: Floats) -> Placed | None:
         """Place of a target in a given centre box (4,); None above the horizon."""
         sds = GIVEN_SD * np.array([box[2], box[3], box[2], box[3]])
-        placed = place(self.main, box[None], sds[None] ** 2, self.start)
+        placed = place([self.main], box[None], sds[None] ** 2, self.start)
         return placed if len(placed.which) else None
 
     def moments(self, mean: Floats, covariance: Floats, frame: Frame) -> tuple[Floats, Floats]:

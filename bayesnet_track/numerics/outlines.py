@@ -9,7 +9,7 @@ Gauss and Newton's steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -169,6 +169,37 @@ class GroundView(Protocol):
         """Points (N, 2) of the ground, m, that are seen in pixels (N, 2)."""
 
 
+@dataclass(frozen=True, eq=False)
+class SeveralViews:
+    """Several cameras as one, which sees a target as its boxes in all of their images: (N, 4 C) numbers.
+
+    Places are sought along the sight of the first one. Edges at the borders of images count as seen.
+    """
+
+    cameras: Sequence[GroundView]
+    size: None = None
+
+    def project(self, points: Floats) -> Floats:
+        """Pixels (N, 2 C) of points (N, 3) in m."""
+        return np.concatenate([camera.project(points) for camera in self.cameras], axis=1)
+
+    def boxes(self, ground: Floats) -> Floats:
+        """Boxes (N, 4 C) in px of targets (N, D) in m."""
+        return np.concatenate([camera.boxes(ground) for camera in self.cameras], axis=1)
+
+    def jacobian(self, ground: Floats) -> Floats:
+        """Derivatives (N, 4 C, D) of `boxes`."""
+        return np.concatenate([camera.jacobian(ground) for camera in self.cameras], axis=1)
+
+    def sight(self, pixels: Floats) -> tuple[Floats, Floats]:
+        """Sight of the first camera."""
+        return self.cameras[0].sight(pixels)
+
+    def ground_points(self, pixels: Floats) -> Floats:
+        """Points of the ground by the first camera."""
+        return self.cameras[0].ground_points(pixels)
+
+
 STEPS = 30
 CLOSE = 1e-9
 
@@ -181,11 +212,11 @@ def most_probable(
 ) -> tuple[Floats, Floats, Floats, Bools]:
     """States (N, D) of targets seen as boxes (N, 4), their covariances, R^-1, and which of them are usable.
 
-    The errors of boxes have variances (N, 4), infinite of what was not measured, and those of edges that were
-    cut. `start` is the mean and the sd of each number of a state before it is seen, an infinite sd of what
-    nothing is known of: 4 of a target on the ground, 5 in space. The maximum is sought on the ground from the
-    foot of a box, in space from the most probable place along the ray through its centre; the covariance is
-    (J' R^-1 J + P^-1)^-1.
+    Of `SeveralViews` boxes have 4 C numbers. The errors of boxes have variances (N, 4), infinite of what was
+    not measured, and those of edges that were cut. `start` is the mean and the sd of each number of a state
+    before it is seen, an infinite sd of what nothing is known of: 4 of a target on the ground, 5 in space.
+    The maximum is sought on the ground from the foot of a box, in space from the most probable place along
+    the ray through its centre; the covariance is (J' R^-1 J + P^-1)^-1.
     """
     means, prior, precision = start[0], start[1] ** -2.0, _precision(camera, boxes, variances)
     find = _stand_on_ground if len(means) == 4 else _hang_in_space
@@ -229,7 +260,7 @@ def _hang_in_space(
     count, depths = places.shape[:2]
     sizes = np.broadcast_to(means[2:4], (count, depths, 2))
     states = np.concatenate([places[..., :2], sizes, places[..., 2:]], axis=2)
-    residual = boxes[:, None] - camera.boxes(states.reshape(-1, 5)).reshape(count, depths, 4)
+    residual = boxes[:, None] - camera.boxes(states.reshape(-1, 5)).reshape(count, depths, -1)
     d2 = np.einsum("nki,nij,nkj->nk", residual, precision, residual) + ((states - means) ** 2) @ prior
     nearest = np.argmin(np.where(np.isfinite(d2), d2, np.inf), axis=1)
     return np.asarray(states[np.arange(count), nearest])
@@ -271,12 +302,12 @@ _EDGES = np.array([[0.5, 0.0, -1.0, 0.0], [0.0, 0.5, 0.0, -1.0], [0.5, 0.0, 1.0,
 
 
 def cut_covariance(camera: GroundView, boxes: Floats) -> Floats:
-    """(N, 4, 4) further errors of boxes (N, 4) with edges at the border of the image, where they were cut.
+    """(N, K, K) further errors of boxes (N, K) with edges at the border of the image, where they were cut.
 
     Such an edge is not seen: it may be anywhere beyond, with an sd of the image's own side. A box that goes
     on beyond the border was not cut.
     """
-    cut = np.zeros((len(boxes), 4, 4))
+    cut = np.zeros((len(boxes), boxes.shape[1], boxes.shape[1]))
     if camera.size is None:
         return cut
     size = np.array(camera.size, dtype=np.float64)
@@ -289,7 +320,8 @@ def cut_covariance(camera: GroundView, boxes: Floats) -> Floats:
 
 
 def _precision(camera: GroundView, boxes: Floats, variances: Floats) -> Floats:
-    """(N, 4, 4) inverse covariances of boxes with errors of variances (N, 4): 0 of what is not measured."""
+    """(N, K, K) inverse covariances of boxes with errors of variances (N, K): 0 of what is not measured."""
+    each = np.eye(boxes.shape[1])
     if np.isfinite(variances).all():
-        return np.asarray(np.linalg.inv(variances[:, :, None] * np.eye(4) + cut_covariance(camera, boxes)))
-    return np.asarray((1.0 / variances)[:, :, None] * np.eye(4))
+        return np.asarray(np.linalg.inv(variances[:, :, None] * each + cut_covariance(camera, boxes)))
+    return np.asarray((1.0 / variances)[:, :, None] * each)

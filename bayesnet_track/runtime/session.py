@@ -12,6 +12,7 @@ from typing import Any, Literal, ParamSpec, cast
 
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.engine.queries import check_forecasts
+from bayesnet_track.engine.starting import CameraPoints
 from bayesnet_track.engine.starts import Start, StartError, check_depth, check_given
 from bayesnet_track.engine.step import Engine, make_engine
 from bayesnet_track.graph.checked import CheckedGraph
@@ -93,7 +94,7 @@ def prepare_at_call(
 def track(
     graph: str | PathLike[str] | GraphSpec | CheckedGraph,
     source: str | PathLike[str] | FrameSource | Named | None,
-    box: CornerBox | Sequence[Start] | None = None,
+    box: CornerBox | CameraPoints | Sequence[Start] | None = None,
     *,
     out: str | PathLike[str] | None = None,
     seed: int = 0,
@@ -128,7 +129,8 @@ def track(
         source: a video file, a folder of images, a glob, or an opened source; None for the times of
             `detections`, where the graph looks at no image. Of several cameras a mapping of one for each.
         box: start box x, y, w, h in the first frame, top-left corner, px; or one `Start` per target; none
-            are needed where the graph has `birth`.
+            are needed where the graph has `birth`. Of a target that several cameras see a mapping: camera
+            -> the point x, y or the box x, y, w, h that its image shows.
         out: run directory to write; nothing is written when None.
         seed: seed of all randomness.
         motion: a motion model of one's own in place of every plate's, such as `FunctionMotion`.
@@ -410,9 +412,11 @@ def set_recorder(
         recorder.look_ahead(Forecaster(prepared.engine, recipe.horizon, prepared.resizing), written)
 
 
-def _starts(box: CornerBox | Sequence[Start] | None) -> list[Start]:
+def _starts(box: CornerBox | CameraPoints | Sequence[Start] | None) -> list[Start]:
     if box is None:
         return []
+    if isinstance(box, Mapping):
+        return [Start(points=box)]
     starts = [part for part in box if isinstance(part, Start)]
     if not starts:
         return [Start(cast(CornerBox, box))]

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import csv
 import json
+from contextlib import closing
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from bayesnet_track import DetectionsTracker, track
+from bayesnet_track.cli.main import main
+from bayesnet_track.engine.starts import StartError
+from bayesnet_track.runtime.checkpoints.resume import resume
 from tests.engine.street import camera_at, detections_of, write_camera
 
 CAMERAS = {
@@ -210,3 +215,91 @@ def test_points_are_of_targets_that_they_can_start(tmp_path, state, message):
 def test_points_have_an_error_in_px_and_no_size(tmp_path, detection, message):
     with pytest.raises(ValueError, match=message):
         DetectionsTracker(write_graph(tmp_path, detection, **ANYWHERE), fps=FPS)
+
+
+def image_of(name, spot, patch, background):
+    """The background with a patch in the middle of which the camera shows the place."""
+    image = background[name].copy()
+    x, y = np.rint(CAMERAS[name].project(spot[None])[0]).astype(int)
+    image[y - 12 : y + 13, x - 12 : x + 13] = patch
+    return image
+
+
+@pytest.fixture
+def shown_room(tmp_path):
+    """A graph without detections, images of two cameras of a patch that moves, and its places."""
+    path = write_graph(tmp_path, {})
+    graph = json.loads(path.read_text())
+    target = graph["targets"]["drone"]
+    for key in ("associate", "existence", "birth"):
+        del target[key]
+    del target["nodes"]["seen"]
+    target["nodes"]["look"] = {"parent": "view", "agent": {"template": {"reach_box": 1.5}}}
+    path.write_text(json.dumps(graph))
+    rng = np.random.default_rng(3)
+    patch = rng.integers(0, 256, (25, 25, 3), np.uint8)
+    background = {name: np.full((480, 640, 3), 120, np.uint8) for name in CAMERAS}
+    places = np.array([[0.04 * k, -0.03 * k, 4.0 + 0.05 * k] for k in range(6)])
+    for name in CAMERAS:
+        (tmp_path / name).mkdir()
+        for frame, spot in enumerate(places):
+            cv2.imwrite(str(tmp_path / name / f"{frame:03}.png"), image_of(name, spot, patch, background))
+    return path, {name: str(tmp_path / name) for name in CAMERAS}, places
+
+
+def shown_at(spot):
+    boxes = {
+        name: camera.boxes(np.array([[*spot[:2], SIZE, SIZE, spot[2]]])) for name, camera in CAMERAS.items()
+    }
+    return {name: tuple(box[0, :2].tolist()) for name, box in boxes.items()}
+
+
+def test_a_point_that_cameras_show_is_followed_by_image_agents(shown_room):
+    path, sources, places = shown_room
+    states = [
+        [result.targets[0].state[field] for field in ("x_m", "y_m", "z_m")]
+        for result in track(path, sources, shown_at(places[0]))
+    ]
+    assert states[0] == pytest.approx(places[0], abs=1e-6)  # where the rays of the points meet
+    assert np.linalg.norm(states - places, axis=1).max() < 0.05  # two pixels at 20 m
+
+
+def test_points_of_the_command_line_start_the_run_and_its_resumption(shown_room, tmp_path):
+    path, sources, places = shown_room
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    shown = shown_at(places[0])
+    points = " ".join(f"{name}={x},{y}" for name, (x, y) in shown.items())
+    given = [part for name, source in sources.items() for part in ("--source", f"{name}={source}")]
+    assert (
+        main(["run", str(path), *given, "--init", points, "--out", str(whole), "--tracks-csv", "--quiet"])
+        == 0
+    )
+    with closing(track(path, sources, shown, out=broken, tracks_csv=True)) as results:
+        for _ in zip(range(3), results, strict=False):
+            pass
+    list(resume(broken))
+    for name in ("journal.jsonl", "cameras.csv", "run.json"):
+        assert (broken / name).read_bytes() == (whole / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("shown", "fault"),
+    {
+        "box": ((1, 2, 30, 40), "a box is of one image"),
+        "camera": ({"north": (1, 2)}, "camera 'north', which drone has no view of; allowed: south, west"),
+        "outside": ({"south": (700, 2)}, "outside of its 640x480 image"),
+        "one": ({"south": (300, 200)}, "points in two cameras or more"),
+    }.values(),
+)
+def test_starts_that_are_nowhere_are_refused(shown_room, shown, fault):
+    path, sources, _ = shown_room
+    with pytest.raises(StartError, match=fault):
+        track(path, sources, shown)
+
+
+def test_it_is_said_by_how_much_cameras_disagree(shown_room):
+    path, sources, places = shown_room
+    shown = shown_at(places[0])
+    shown["west"] = (shown["west"][0], shown["west"][1] + 60.0)
+    with pytest.warns(match=r"off in south by [23]\d\.\d px, west by [23]\d\.\d px"):
+        track(path, sources, shown)

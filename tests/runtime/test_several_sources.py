@@ -203,7 +203,7 @@ WRONG = {
     ),
     "start_box": (
         ["--detections", "south={south}", "--detections", "east={east}", "--init", "1,2,30,40"],
-        "--init is of one image",
+        "a box is of one image; allowed: where each camera sees it, 'south=X,Y east=X,Y'",
     ),
 }
 

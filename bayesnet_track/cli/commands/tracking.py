@@ -246,7 +246,7 @@ def _run(options: argparse.Namespace) -> int:
     if graph.several_cameras:
         options.executing = executor_of(options)
         with users_mistake(), open_cameras_given(options, graph, options.executing) as cameras:
-            return track_source(options, graph, cameras, [], folder, video=options.video)
+            return track_source(options, graph, cameras, starts, folder, video=options.video)
     with users_mistake():
         options.source = str(source_or_times(options.source, graph, options.detections))
     with open_view(options) as view, open_given(options) as source:
@@ -401,6 +401,7 @@ def _add_run(commands: argparse._SubParsersAction[Any]) -> None:
         metavar="X,Y,W,H",
         help="start box in the first frame that is read (frame N with --start N): left, top, width, height, "
         "px; CLASS:X,Y,W,H gives the target's class if the graph has several; "
+        "of several cameras 'NORTH=X,Y SOUTH=X,Y', the point in the image of each, or boxes; "
         "repeat it for more targets; needed unless the graph has `birth`",
     )
     start.add_argument(

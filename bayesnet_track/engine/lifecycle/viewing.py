@@ -171,7 +171,7 @@ class ViewSensor:
             lasting = (evolve(e, sd=sds[e.axis]) if self.is_bias(e) else e for e in view.lasting)
             view, boxes = evolve(view, lasting=tuple(lasting)), boxes.copy()
             boxes[:, :2] -= bias_mean
-        placed = place(view, boxes, variances, self.views.start, self.agent)
+        placed = place([view], boxes, variances, self.views.start, self.agent)
         moments = [motion.start_moments(state) for state in placed.states]
         size, first = len(motion.fields), len(motion.fields) - len(self.views.lasting)
         mean = np.array([moment for moment, _ in moments]).reshape(-1, size)

@@ -121,21 +121,17 @@ def cameras_are_different(spec: GraphSpec, positions: Positions) -> Iterator[Gra
             )
 
 
-def several_cameras_have_detections(plate: Plate) -> Iterator[GraphMessage]:
-    """Detections of each camera are given where several cameras see a graph's targets."""
+def births_by_several_cameras_are_given(plate: Plate) -> Iterator[GraphMessage]:
+    """Births of targets that several cameras see are by detections of each camera, which are given."""
     if len(plate.cameras) < 2 or not plate.spec.is_ground:
         return
     names = ", ".join(plate.cameras)
     birth = plate.spec.birth
-    if birth is None:
-        fault = f"a target that several cameras see ({names}) without birth: a start box is of one image"
-        remedy = f"birth: {{detector: {GIVEN}}}"
-        yield plate.at.message(("targets", plate.name), fault, remedy, on_key=True)
-    elif birth.detector.detector != GIVEN:
+    if birth is not None and birth.detector.detector != GIVEN:
         path = ("targets", plate.name, "birth", "detector")
         fault = f"births by {birth.detector.detector} beside several cameras ({names})"
         yield plate.at.message(path, fault, f"{GIVEN}: those of each camera are given")
-    if not agents_of_detections(plate):
+    if birth is not None and not agents_of_detections(plate):
         fault = (
             f"targets that several cameras see ({names}) without an agent whose free detections start them"
         )
@@ -205,4 +201,4 @@ SEVERAL_GRAPH_CHECKS: tuple[GraphCheck, ...] = (
     cameras_can_be_switched,
 )
 
-SEVERAL_CHECKS: tuple[Check, ...] = (several_cameras_have_detections, clocks_can_be_learnt)
+SEVERAL_CHECKS: tuple[Check, ...] = (births_by_several_cameras_are_given, clocks_can_be_learnt)

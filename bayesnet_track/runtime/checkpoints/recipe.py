@@ -380,7 +380,14 @@ def make_recipe(
         graph=graph.spec.name,
         graph_sha256=graph_sha256(graph.text),
         origin=(Origin("own", "", source.description) if origin is None else origin.marked()),
-        starts=tuple(Start(tuple(float(v) for v in start.box), start.plate) for start in starts),  # type: ignore[arg-type]
+        starts=tuple(
+            Start(
+                tuple(float(v) for v in start.box),  # type: ignore[arg-type]
+                start.plate,
+                {camera: tuple(float(v) for v in numbers) for camera, numbers in start.points.items()},
+            )
+            for start in starts
+        ),
         seed=seed,
         detections=given_file(detections[""]) if "" in detections else None,
         camera_detections={camera: given_file(path) for camera, path in detections.items() if camera},
