@@ -12,6 +12,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from bayesnet_track.graph.expressions.terms import WORDS
 from bayesnet_track.graph.settings.base import Choice, PluginChoice
 from bayesnet_track.graph.text.messages import GraphMessage, listed, shown_name
 from bayesnet_track.observation.settings import setting
@@ -253,6 +254,21 @@ def _unknown_constant(match: re.Match[str], message: GraphMessage) -> str:
     return f"an unknown constant is a field of a motion by expressions: {motion}, {prior}"
 
 
+def _of_parent(match: re.Match[str], message: GraphMessage) -> str:
+    """A name of the node above that it does not have: what fields it has, and what stands without it."""
+    _, _, name = match["name"].partition(".")
+    if name in message.allowed.split(", "):
+        return f"constants stand alone: {name}"
+    if not name or "." in name:
+        return "a field of the node above is parent.x; those of the root's motion are in all nodes below it"
+    written = f", as {name} in motion: {{expressions: {{fields: {{{name}: {{sd: 1}}}}, ..}}}}"
+    example = "" if name in WORDS else written
+    return (
+        f"beside its box the node above has the fields of the root's motion{example}; modes, inputs, the "
+        "time and the frame are not among them"
+    )
+
+
 def _of_three(match: re.Match[str], _: GraphMessage) -> str:
     """A join of three targets or more: their kinds in pairs."""
     kinds = list(dict.fromkeys(re.findall(r"\w+", match["kinds"])))
@@ -344,6 +360,7 @@ OTHER_FORMS: Sequence[Rule] = (
             else ""
         ),
     ),
+    (r"^(?:unknown name )?'(?P<name>parent[\w.]*)'", _of_parent),
     (
         r"^unknown name 'mode'",
         _always("each mode has a motion of its own: modes: {NAME: {motion: ..}}"),

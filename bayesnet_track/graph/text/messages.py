@@ -164,7 +164,15 @@ def nearest(word: str, names: Iterable[str]) -> str:
     ('activate', '')
     >>> nearest("sd_x", ["sd_y_px", "sd_x_px"]), nearest("max_rate", ["early_rate", "learn_rate_max"])
     ('sd_x_px', 'learn_rate_max')
+    >>> nearest("a.angel", ["a.x", "a.angle"]), nearest("a.turn", ["a.x", "a.angle"])
+    ('a.angle', '')
     """
+    names = list(names)
+    owner, dot, name = word.rpartition(".")
+    fields = [field.removeprefix(owner + dot) for field in names if dot and field.startswith(owner + dot)]
+    if fields:  # the letters of the owner are right, and say nothing of the field
+        field = nearest(name, fields)
+        return f"{owner}.{field}" if field else ""
     some = [name for name in names if abs(len(name) - len(word)) <= 6 and name != word][:MAX_COMPARED]
     # `sd_x` is likelier to be `sd_x_px`, cut short, than `sd_y_px`, which has as many letters in common.
     parts = set(word.split("_"))
