@@ -155,7 +155,8 @@ def _with_uds(inputs: RuleColumns, memory: RuleMemory) -> Mapping[tuple[str, fro
         rules = inputs.plate.inference(node).adapt
         if rules is not None and rules.activate is not None:
             level, test = rules.activate.above, rules.activate.unless
-            adds = adds & ~_read(inputs, memory, node, level, test).is_above
+            if level is None or level.kind != "score":
+                adds = adds & ~_read(inputs, memory, node, level, test).is_above
         baseline = baselines.get((node, agents)) or Baseline.empty(len(memory))
         baselines[node, agents] = baseline.append(ud, adds)
     return baselines
@@ -177,6 +178,9 @@ def _read(
 
     Beside more agents than are on, the baseline of these counts where that of so few is unknown.
     """
+    if level is not None and level.kind == "score":
+        values = np.full(len(inputs), np.nan) if inputs.score is None else inputs.score
+        return _Reading(values, values > level.settings, values < level.settings)
     if level is not None and level.kind == "ud_px2":
         values = inputs.measures.uds[node]
         return _Reading(values, values > level.settings, values < level.settings)

@@ -21,7 +21,7 @@ from bayesnet_track.numerics.distributions import vouched_share
 
 @dataclass(frozen=True)
 class Reading:
-    """A level applied to one value of UD: both in the level's unit."""
+    """A level applied to one value of UD, both in the level's unit, or to the score."""
 
     unit: str
     level: float
@@ -31,12 +31,12 @@ class Reading:
 
     @property
     def above(self) -> bool:
-        """UD lies above the level: things are not well."""
+        """The value lies above the level: of UD, things are not well."""
         return self.value > self.level
 
     @property
     def below(self) -> bool:
-        """UD lies below the level: all is well."""
+        """The value lies below the level: of UD, all is well."""
         return self.value < self.level
 
     def cause(self, frames: int, turning: float) -> Cause:
@@ -336,7 +336,10 @@ def baseline_level(
 
 
 def read_ud(inputs: RuleInputs, memory: RuleMemory, node: str, level: Level) -> Reading | None:
-    """The UD of an inference node in the level's unit."""
+    """The UD of an inference node in the level's unit, or the score; None while it cannot be told."""
+    if level.kind == "score":
+        ud_px2 = inputs.measures.ud_px2[node]
+        return None if inputs.score is None else Reading("score", level.settings, inputs.score, ud_px2, 1.0)
     quiet = (
         baseline_level(inputs.plate, inputs.net.active, memory, node) if level.kind == "ud_baseline" else None
     )

@@ -76,6 +76,7 @@ def policy_of(adapt: Adapt | None) -> Policy:
         or activate_above is None
         or deactivate_below is None
         or activate_above.kind != deactivate_below.kind
+        or activate_above.kind == "score"
     ):
         raise ValueError(
             "policy: the root needs `adapt` with `activate: {above: ...}` and `deactivate: {below: ...}`, "

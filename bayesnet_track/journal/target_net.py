@@ -92,9 +92,9 @@ class Cause:
     """The numbers that made a threshold rule fire.
 
     Attributes:
-        unit: the threshold's unit: ud_px2, ud_box or ud_baseline.
+        unit: the threshold's unit: ud_px2, ud_box or ud_baseline; score where the rule goes by it.
         level: the threshold in that unit.
-        value: UD at this frame in that unit.
+        value: UD at this frame in that unit, or the score.
         frames: how many consecutive frames it had to hold.
         turning: the threshold, in that unit, at which the rule would not have fired.
         ud_px2: UD at this frame in px^2.

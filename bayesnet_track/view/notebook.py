@@ -298,7 +298,8 @@ def _spans(frames: Sequence[int]) -> list[tuple[int, int]]:
 def _level(ax: Any, events: Sequence[Switch], lines: Sequence[FrameMetrics], colour: str) -> None:
     """The level that a rule had whenever it fired, px²: a line, with steps where it follows the box or UD."""
     causes = [(event.frame, getattr(event, "cause", None)) for event in events]
-    levels = [(frame, cause.level * cause.scale_px2) for frame, cause in causes if isinstance(cause, Cause)]
+    by_ud = [(frame, cause) for frame, cause in causes if isinstance(cause, Cause) and cause.unit != "score"]
+    levels = [(frame, cause.level * cause.scale_px2) for frame, cause in by_ud]
     look = {"color": colour, "lw": 0.9, "ls": "--"}
     if len({level for _, level in levels}) == 1:
         ax.axhline(levels[0][1], **look)

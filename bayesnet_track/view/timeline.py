@@ -97,7 +97,7 @@ def _thresholds(events: Sequence[Event]) -> list[tuple[str, str, list[tuple[int,
     thresholds: dict[tuple[str, str], list[tuple[int, float]]] = {}
     for event in events:
         cause = getattr(event, "cause", None)
-        if not isinstance(cause, Cause):
+        if not isinstance(cause, Cause) or cause.unit == "score":
             continue
         rule = {Activated: ("activate", UP), Deactivated: ("deactivate", DOWN), StatusChanged: ("lost", SOFT)}
         key = rule.get(type(event))

@@ -79,7 +79,7 @@ def drive(fakes):
 
     def run(
         nodes, uds, *, active=None, net=None, kl=None, contribution=None, agent_uds=None, fits=None,
-        areas=None, costs=None, adaptable=(), memory=None, insides=None,
+        areas=None, costs=None, adaptable=(), memory=None, insides=None, scores=None,
     ):  # fmt: skip
         plate, _ = fakes.plate(nodes)
         live = Net({"1": net or TargetNet("plate", frozenset(plate.agents if active is None else active))})
@@ -109,6 +109,7 @@ def drive(fakes):
                 measures,
                 costs or dict.fromkeys(plate.agents, 1.0),
                 frozenset(adaptable),
+                score=None if scores is None else scores[k],
             )
             made, memory = _decide_one(situation, memory)
             nets.append(now)

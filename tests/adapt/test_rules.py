@@ -209,6 +209,20 @@ def test_levels_relative_to_the_box(drive):
     assert decision.frame == 4
 
 
+def test_levels_of_the_score_whatever_ud_is(drive):
+    """An agent goes after three frames below the one score, and is back at the first above the other."""
+    nodes = net(on_off(on=0.2, on_frames=1, off=0.15, off_frames=3, unit="score"))
+    nodes["root"]["score"] = {"logistic": {"bias": 1.0, "evidence": 0.5}}
+    scores = [0.9, 0.1, 0.14, 0.15, 0.14, 0.12, 0.1, 0.18, 0.2, 0.21, 0.9]
+    made = drive(nodes, [1e6, 1.0] * 5 + [1.0], scores=scores)
+    (off,), (on,) = made.of(Deactivated), made.of(Activated)
+    assert off.cause == Cause("score", 0.15, 0.1, 3, 0.14, 1.0 if off.frame % 2 == 0 else 1e6, 1.0)
+    assert (off.frame, on.frame, on.cause.value) == (7, 10, 0.21)
+    assert off.describe().startswith("score 0.1 < 0.15 for 3 frames → ")
+    assert on.describe().endswith("would have stayed off at activate ≥ 0.21")
+    assert drive(nodes, [1.0] * 11).decisions == []
+
+
 def test_levels_relative_to_the_quiet_level(drive):
     made = drive(
         net(on_off(on=2.0, off=1.25, unit="ud_baseline")), [94] * 12 + [187] * 5 + [189] * 3, active="a"

@@ -95,6 +95,7 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     sd = st.just(0) | positive
     frames = st.integers(1, 1_000_000)
     level = _choice([], ud_px2=positive, ud_box=positive, ud_baseline=positive)
+    switch_level = level | _choice([], score=share)
     noise = {
         "sd_px": _mapping({}, dict.fromkeys("xywh", sd)),
         "sd_box": _mapping({}, dict.fromkeys("xy", sd)),
@@ -197,9 +198,9 @@ def _graphs() -> st.SearchStrategy[dict[str, Any]]:
     adapt = _mapping(
         {},
         {
-            "activate": _mapping({"above": level}, {"frames": frames, "which": which})
+            "activate": _mapping({"above": switch_level}, {"frames": frames, "which": which})
             | _mapping({"unless": test}, {"frames": frames, "which": which}),
-            "deactivate": _mapping({"below": level}, {"frames": frames, "drop": drop})
+            "deactivate": _mapping({"below": switch_level}, {"frames": frames, "drop": drop})
             | _mapping({"when": test}, {"frames": frames, "drop": drop}),
             "keep": st.integers(1, 9),
             "information": _mapping({}, {"memory_frames": frames, "exploration": positive | st.just(0)}),

@@ -81,7 +81,7 @@ wrong.yaml:14:38: square: size:500 is empty; allowed: a value, or no such key
     "above: {ud_px2: 130}": (
         "above: 130",
         """\
-wrong.yaml:22:29: square: above is 130; allowed: one of ud_px2, ud_box, ud_baseline
+wrong.yaml:22:29: square: above is 130; allowed: one of ud_px2, ud_box, ud_baseline, score
   22 |           activate: {above: 130, frames: 1}
      |                             ^
   hint: write above: {ud_px2: 130}""",

@@ -52,6 +52,13 @@ CASES = [
         "uncertain; allowed: lost.uncertain_below above 0.5",
     ),
     (
+        "  adapt: {activate: {above: {score: 0.3}}}",
+        "4:11: s: activate can never fire: every agent here is on, and nothing switches one off; allowed: a "
+        "deactivate rule, a self_check, active: false, or no such rule\n"
+        "4:30: s: adapt.activate.above.score without a score that is a probability; allowed: score at the "
+        "root, or no such key",
+    ),
+    (
         "  guarantee: {above: 0.9}",
         "4:3: s: guarantee without a score that is a probability; allowed: score at the root, or no such key",
     ),

@@ -101,8 +101,9 @@ def dispensable_by_levels(plate: Plate) -> Iterator[GraphMessage]:
         adapt = node.adapt
         if adapt is None or adapt.deactivate is None or adapt.deactivate.drop != "most_expensive_redundant":
             continue
-        if adapt.deactivate.below is None or (adapt.activate is not None and adapt.activate.above is None):
-            fault = "drop: most_expensive_redundant asks what UD would be, and a rule here goes by a test"
+        levels = [adapt.deactivate.below, *(() if adapt.activate is None else (adapt.activate.above,))]
+        if any(level is None or level.kind == "score" for level in levels):
+            fault = "drop: most_expensive_redundant asks what UD would be, and a rule here does not go by UD"
             remedy = "levels of UD (above, below), or another drop"
             yield plate.message(name, fault, remedy, key=("adapt", "deactivate", "drop"))
 
@@ -177,11 +178,17 @@ ADAPT_CHECKS: tuple[Check, ...] = (
 
 
 def score_serves_its_users(plate: Plate) -> Iterator[GraphMessage]:
-    """`lost.score_below`, `distractors` and the like need a `score`, which is a probability."""
+    """`lost.score_below`, `distractors` and the like need a `score` at the root, which is a probability."""
+    if any(node.parent is None and node.score is not None for node in plate.inference.values()):
+        return
     for name, node in plate.inference.items():
-        if node.parent is not None or node.score is not None:
-            continue
-        needing: list[tuple[str, ...]] = []
+        levels = {
+            ("activate", "above"): getattr(node.adapt and node.adapt.activate, "above", None),
+            ("deactivate", "below"): getattr(node.adapt and node.adapt.deactivate, "below", None),
+        }
+        needing: list[tuple[str, ...]] = [
+            ("adapt", *key, "score") for key, level in levels.items() if level and level.kind == "score"
+        ]
         if node.lost is not None and node.lost.score_below is not None:
             needing.append(("lost", "score_below"))
         if node.localization_error is not None and node.localization_error.lost_sd_box is not None:

@@ -26,6 +26,18 @@ class Level(Choice):
     ud_baseline: Positive | None = Field(default=None, description="as a multiple of its measured baseline")
 
 
+class SwitchLevel(Level):
+    """A threshold of UD, or of the score.
+
+    By the score an agent can rest while the target is probably lost and searched for in a wide square, where
+    an expensive agent costs most: `deactivate` below a score, and `activate` above it.
+    """
+
+    score: Annotated[Number, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="probability of being on target; needs `score` at the root"
+    )
+
+
 class Concentrated(Model):
     """The belief lies around one mode, as a binomial test shows with `confidence` (thesis 6.2).
 
@@ -50,9 +62,11 @@ class Condition(Choice):
 
 
 class Activate(Model):
-    """Switch agents on when UD stays above a threshold, or while a test shows no concentrated belief."""
+    """Switch agents on when UD or score stays above a level, or while a test shows no concentrated belief."""
 
-    above: Level | None = Field(default=None, description="threshold of UD; this or `unless`")
+    above: SwitchLevel | None = Field(
+        default=None, description="threshold of UD or of the score; this or `unless`"
+    )
     unless: Condition | None = Field(default=None, description="a test of the belief; this or `above`")
     frames: FrameCount = Field(
         default=1, description="consecutive frames above the threshold, or in which the test fails"
@@ -71,9 +85,11 @@ class Activate(Model):
 
 
 class Deactivate(Model):
-    """Switch one agent off when UD stays below a threshold, or while a test shows a concentrated belief."""
+    """Switch one agent off when UD or score stays below a level, or while a test shows concentration."""
 
-    below: Level | None = Field(default=None, description="threshold of UD; this or `when`")
+    below: SwitchLevel | None = Field(
+        default=None, description="threshold of UD or of the score; this or `when`"
+    )
     when: Condition | None = Field(default=None, description="a test of the belief; this or `below`")
     frames: FrameCount = Field(
         default=5, description="consecutive frames below the threshold, or in which the test passes"

@@ -338,7 +338,7 @@ def _levels(events: Sequence[Event]) -> list[str]:
             levels[f"{event.node} stops itself {side} {cause.level:g}{cause.unit} ({cause.rule})"] = None
         if not isinstance(cause, Cause):
             continue
-        level = f"{cause.level:g}{UNIT[cause.unit]}"
+        level = f"{'a score of ' if cause.unit == 'score' else ''}{cause.level:g}{UNIT[cause.unit]}"
         match event:
             case Activated():
                 levels[f"{event.governor} activates above {level}"] = None

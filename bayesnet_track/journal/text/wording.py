@@ -6,7 +6,7 @@ import math
 
 from bayesnet_track.journal.target_net import Cause
 
-UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_baseline": " × baseline"}
+UNIT = {"ud_px2": " px²", "ud_box": " × box area", "ud_baseline": " × baseline", "score": ""}
 """How a level's unit is written behind its number."""
 
 
@@ -14,6 +14,8 @@ def cause_text(cause: Cause, relation: str) -> str:
     """`UD 212 px² > 200 for 3 frames`, or with the unit and px² in brackets."""
     value, level = distinct_texts(cause.value, cause.level)
     span = f"for {plural(cause.frames, 'frame')}"
+    if cause.unit == "score":
+        return f"score {value} {relation} {level} {span}"
     if cause.unit == "ud_px2":
         return f"UD {value} px² {relation} {level} {span}"
     px, level_px = in_px(cause.ud_px2, cause.level * cause.scale_px2)
@@ -24,7 +26,7 @@ def cause_text(cause: Cause, relation: str) -> str:
 def show_turn(cause: Cause, up: bool) -> str:
     """The turning level with as many digits as tell it from the level, rounded so that it does turn."""
     value = round_away(cause.turning, decimals(cause.turning, cause.level), up)
-    if cause.unit == "ud_px2":
+    if cause.unit in ("ud_px2", "score"):
         return value
     px = cause.turning * cause.scale_px2
     return (
