@@ -329,7 +329,15 @@ def flow_in_boxes(points: Floats, boxes: Floats, counts: Floats, means: Floats) 
         left, right = boxes[n, 0] - half_w, boxes[n, 0] + half_w
         top, bottom = boxes[n, 1] - half_h, boxes[n, 1] + half_h
         # Points come in rows of the lattice, so that those as high as the box follow each other.
-        first, past = np.searchsorted(highest, top), np.searchsorted(lowest, bottom, side="right")
+        # By halves; `np.searchsorted` would take as long to compile as all the rest.
+        first, past, end = 0, 0, size
+        while first < end:
+            middle = (first + end) // 2
+            first, end = (middle + 1, end) if highest[middle] < top else (first, middle)
+        end = size
+        while past < end:
+            middle = (past + end) // 2
+            past, end = (middle + 1, end) if lowest[middle] <= bottom else (past, middle)
         x, y, dx, dy = xs[first:past], ys[first:past], dxs[first:past], dys[first:past]
         count, sum_x, sum_y = 0.0, 0.0, 0.0
         for k in range(past - first):
