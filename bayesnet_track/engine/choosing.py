@@ -27,15 +27,13 @@ from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lifecycle.association import Several
 from bayesnet_track.engine.lifecycle.existing import Crowd, expect_crowd, expect_detections
-from bayesnet_track.engine.lifecycle.sensing import Found, Mixed
+from bayesnet_track.engine.lifecycle.sensing import Mixed
 from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
-from bayesnet_track.engine.lifecycle.viewing import ViewSensor
 from bayesnet_track.engine.outcome import State
 from bayesnet_track.engine.targets import Targets
 from bayesnet_track.inference.views import Views
 from bayesnet_track.journal.events.cameras import CamerasSwitched
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.cameras import UNSEEN
 from bayesnet_track.numerics.records import evolve
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
 
@@ -101,15 +99,12 @@ class PlateForecast:
         if rule is None:
             return None
         all_of, weights, _ = expect_detections(rule, self.crowd, self.models[camera])
-        sensor, covariance = rule.sensor, self.covariance.copy()
-        assert isinstance(sensor, ViewSensor)
-        boxes = sensor.boxes(all_of.mean, sensor.agent)
-        is_seen = boxes[:, 0] != UNSEEN[0]
-        columns = np.flatnonzero(is_seen)
-        starts = np.concatenate([[0], np.cumsum(is_seen)])
-        expected = Found(boxes, np.ones(len(boxes)), np.arange(len(boxes)))
-        shares = Mixed(starts, columns, np.ones(len(columns)), 1.0 - is_seen)
-        sensor.mix(all_of.mean.copy(), covariance, expected, shares)
+        covariance, expected = self.covariance.copy(), rule.sensor.detect(all_of.mean)
+        is_seen = np.zeros(len(covariance))
+        is_seen[expected.numbers] = 1.0
+        starts = np.concatenate([[0], np.cumsum(is_seen, dtype=np.int64)])
+        shares = Mixed(starts, np.arange(len(expected.values)), expected.scores, 1.0 - is_seen)
+        rule.sensor.mix(all_of.mean.copy(), covariance, expected, shares)
         coverage = self.in_image[camera] * _usual_detection(self.models[camera], rule)
         return CameraEffect(weights.mean_detection * is_seen, covariance, coverage)
 
@@ -294,7 +289,6 @@ def _forecast(members: Several, history: TrackHistory, limit: float) -> PlateFor
     errors = plate_errors(compiled, errors_at(work, history))
     rules, models, in_image = {}, {}, {}
     for agent, rule in agents.items():
-        assert isinstance(rule.sensor, ViewSensor)
         rules[rule.camera] = evolve(rule, sensor=rule.sensor.aim(errors))
         in_image[rule.camera] = cells_in_image(compiled, agent)
         models[rule.camera] = model.by(None if agent == first else agent)
@@ -332,11 +326,11 @@ def cells_of(views: Views) -> Floats:
 @lru_cache(maxsize=64)
 def cells_in_image(compiled: CompiledPlate, agent: str) -> Floats:
     """(G,) 1.0 where the camera of an agent shows a target in the cell, else 0.0."""
-    sensor, width = compiled.sensors[agent], len(compiled.moments.fields)
-    assert isinstance(sensor, ViewSensor)
-    centres = cells_of(sensor.views)
+    views, width = compiled.views, len(compiled.moments.fields)
+    assert views is not None
+    centres = cells_of(views)
     states = np.zeros((len(centres), width))
     states[:, :2] = centres
-    for column, (size, number) in enumerate(zip(sensor.views.start[2:4], USUAL_SIZE, strict=True), 2):
+    for column, (size, number) in enumerate(zip(views.start[2:4], USUAL_SIZE, strict=True), 2):
         states[:, column] = number if size is None else size[0]
-    return sensor.in_image(states, np.tile(1e-12 * np.eye(width), (len(centres), 1, 1)))
+    return compiled.sensors[agent].in_image(states, np.tile(1e-12 * np.eye(width), (len(centres), 1, 1)))

@@ -121,6 +121,10 @@ class FunctionSensor:
         """The boxes of the states."""
         return mean[:, :4]
 
+    def detect(self, mean: Floats) -> Found:
+        """The quantities of the states, where h has a value."""
+        return Found.expected(self._of(mean))
+
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
         """Expected detections of targets (T, D), (T, D, D), by a sensor without errors."""
         return expect_seen(self._seen, self.fields, (mean, covariance), self.is_unscented)

@@ -59,6 +59,12 @@ class Found:
         """Nothing, of so many values."""
         return cls(np.empty((0, width)), np.empty(0), np.empty(0, np.int64))
 
+    @classmethod
+    def expected(cls, values: Floats) -> Self:
+        """Sure detections of targets where these (T, K) are finite."""
+        rows = np.flatnonzero(np.isfinite(values).all(axis=1))
+        return cls(values[rows], np.ones(len(rows)), rows)
+
     def only(self, selection: NDArray[np.bool_] | Ints) -> Found:
         """Some of them."""
         labels = tuple(np.array(self.labels, dtype=object)[selection]) if self.labels else ()
@@ -171,6 +177,9 @@ class Sensor(Protocol):
     def boxes(self, mean: Floats) -> Floats:
         """(T, 4) centre boxes in the image of states (T, D), px."""
 
+    def detect(self, mean: Floats) -> Found:
+        """The detections of targets in states (T, D) without errors; their numbers are rows of those seen."""
+
 
 @dataclass(frozen=True, eq=False)
 class BoxSensor:
@@ -201,6 +210,10 @@ class BoxSensor:
     def boxes(self, mean: Floats) -> Floats:
         """The boxes of the states."""
         return mean[:, :4]
+
+    def detect(self, mean: Floats) -> Found:
+        """The boxes of the states."""
+        return Found.expected(mean[:, :4])
 
     def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
         """Possible pairs; boxes that overlap the prediction by less than `min_overlap` are out, too."""

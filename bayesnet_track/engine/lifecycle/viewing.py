@@ -77,10 +77,14 @@ class ViewSensor:
         """With what is known of the errors of cameras."""
         return self if errors is None else evolve(self, errors=errors)
 
-    def boxes(self, mean: Floats, agent: str = "") -> Floats:
-        """(T, 4) boxes in the image of states (T, D), as the camera shows and `agent` finds them."""
-        boxes = self.view.boxes(self.views.named(mean), agent)
+    def boxes(self, mean: Floats) -> Floats:
+        """(T, 4) boxes in the image of states (T, D), as the camera shows them."""
+        boxes = self.view.boxes(self.views.named(mean))
         return np.where(np.isfinite(boxes).all(axis=1, keepdims=True), boxes, np.array(UNSEEN))
+
+    def detect(self, mean: Floats) -> Found:
+        """Boxes in the image as the agent finds them, of states that the camera sees."""
+        return Found.expected(self.view.boxes(self.views.named(mean), self.agent))
 
     def expect(self, mean: Floats, covariance: Floats) -> Expectation:
         """Expected detections of targets (T, D), (T, D, D), by a detector without errors."""
