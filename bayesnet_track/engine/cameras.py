@@ -200,11 +200,10 @@ class Watched:
         copy = plate_errors(compiled, errors)
         for agent, detections in looks.items():
             sensor = compiled.sensors[agent]
-            if (bias_px := sensor.bias_sd) > 0.0:
-                camera = sensor.camera
-                looking.append(camera)
-                watch = updated.get(camera, Watch(bias_px))
-                updated[camera] = watch.see(names, sensor.boxes(means), detections.values)
+            if (seen_by := sensor.camera) is not None and seen_by.bias_sd > 0.0:
+                looking.append(seen_by.name)
+                watch = updated.get(seen_by.name, Watch(seen_by.bias_sd))
+                updated[seen_by.name] = watch.see(names, sensor.boxes(means), detections.values)
         updated, knocked = _judge(updated, looking)
         if knocked is None or copy is None or errors is None:
             return cls(updated, copy)

@@ -289,7 +289,7 @@ def _forecast(members: Several, history: TrackHistory, limit: float) -> PlateFor
     errors = plate_errors(compiled, errors_at(work, history))
     rules, models, in_image = {}, {}, {}
     for agent, rule in agents.items():
-        rules[rule.camera] = evolve(rule, sensor=rule.sensor.aim(errors))
+        rules[rule.camera] = evolve(rule, sensor=rule.sensor.at(work.cache.frames, errors))
         in_image[rule.camera] = cells_in_image(compiled, agent)
         models[rule.camera] = model.by(None if agent == first else agent)
     unconfirmed, settings = model.unconfirmed, agents[first].existence

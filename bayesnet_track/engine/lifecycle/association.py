@@ -269,13 +269,14 @@ class Several:
         crowd, detection_model = expect_crowd(rules[first], frames, crowd, detection_model, seen_first)
         links = dict.fromkeys(rules, given_nothing(crowd, detection_model))
         for agent in [name for name in rules if name in looks]:
-            rule = evolve(rules[agent], sensor=rules[agent].sensor.at(frames).aim(watched.copy))
+            rule = evolve(rules[agent], sensor=rules[agent].sensor.at(frames, watched.copy))
             sensor = None if agent == first else agent
             model = detection_model.by(sensor)
             links[agent] = associate_marginal(rule, frames.current, crowd, model, looks[agent])
             detection_model = detection_model.after(sensor, links[agent].detection_model)
-            if numbers := rule.sensor.check(*crowd.moments, looks[agent], links[agent].mixed):
-                self.work.cameras[rule.sensor.camera] = numbers
+            camera, weighed = rule.sensor.camera, (looks[agent], links[agent].mixed)
+            if camera is not None and (numbers := camera.check(*crowd.moments, *weighed)):
+                self.work.cameras[camera.name] = numbers
             crowd = evolve(crowd, existence=links[agent].existence)
             if agent != last_agent:
                 crowd = after_look(rule, crowd, looks[agent], links[agent])

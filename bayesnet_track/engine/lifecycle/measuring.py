@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from bayesnet_track.engine.lifecycle.sensing import (
     LOG_TURN,
     Begun,
     BoxSensor,
+    CalibratedCamera,
     Found,
     Mixed,
     Sensor,
@@ -83,7 +84,7 @@ class FunctionSensor:
         is_unscented: whether moments are by sigma points.
         has_extent: whether detections have a size.
         seen: h in the frames of `at`.
-        camera: none, as `bias_sd` is.
+        camera: none.
     """
 
     association: AssociationRule
@@ -97,23 +98,14 @@ class FunctionSensor:
     is_unscented: bool = False
     has_extent: bool = False
     seen: Seen | None = None
-    camera: str = ""
-    bias_sd: float = 0.0
-
-    def aim(self, errors: PlateErrors | None) -> Self:
-        """The same: it looks through no camera."""
-        return self
-
-    def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
-        """Nothing."""
-        return {}
+    camera: CalibratedCamera | None = None
 
     @property
     def log_scale(self) -> float:
         """Log of (2 pi)^(-K / 2)."""
         return -0.5 * len(self.quantities) * LOG_TURN
 
-    def at(self, frames: FramePair) -> FunctionSensor:
+    def at(self, frames: FramePair, errors: PlateErrors | None) -> FunctionSensor:
         """With h in these frames: it may read the time between them, and their size."""
         return replace(self, seen=seen_by(self.quantities, self.functions, frames))
 

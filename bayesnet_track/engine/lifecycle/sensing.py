@@ -113,6 +113,21 @@ class Mixed:
         return self.weights, self.missed
 
 
+class CalibratedCamera(Protocol):
+    """A camera through which a sensor sees targets on the ground."""
+
+    @property
+    def name(self) -> str:
+        """The camera's, or that of the view where there is one image."""
+
+    @property
+    def bias_sd(self) -> float:
+        """Sd of the error of its calibration, px; 0 where that is exact."""
+
+    def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
+        """Innovations of detections of targets that were expected so, in sums; empty without targets."""
+
+
 class Sensor(Protocol):
     """Interface of detectors and other sensors for association."""
 
@@ -129,21 +144,11 @@ class Sensor(Protocol):
         """True where detections have a size, which says how far a target may move."""
 
     @property
-    def camera(self) -> str:
-        """The camera through which it sees targets on the ground; empty of other sensors."""
+    def camera(self) -> CalibratedCamera | None:
+        """The camera through which it sees targets on the ground; None of other sensors."""
 
-    @property
-    def bias_sd(self) -> float:
-        """Sd of the error of the camera's calibration, px; 0 where that is exact, or there is none."""
-
-    def aim(self, errors: PlateErrors | None) -> Sensor:
-        """The sensor with what is known of the errors of cameras."""
-
-    def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
-        """Innovations of detections of targets that were expected so, in sums; empty without a camera."""
-
-    def at(self, frames: FramePair) -> Sensor:
-        """The sensor in these frames."""
+    def at(self, frames: FramePair, errors: PlateErrors | None) -> Sensor:
+        """The sensor in these frames, with what is known of the errors of cameras."""
 
     def gate(self, mean: Floats, covariance: Floats, detections: Found) -> Pairs:
         """Possible pairs, with -d^2 / 2 - log det S / 2; of means (T, D) and covariances (T, D, D)."""
@@ -192,18 +197,9 @@ class BoxSensor:
     association: AssociationRule
     log_scale: float = -2.0 * LOG_TURN
     has_extent: bool = True
-    camera: str = ""
-    bias_sd: float = 0.0
+    camera: CalibratedCamera | None = None
 
-    def aim(self, errors: PlateErrors | None) -> Self:
-        """The same: it looks through no camera."""
-        return self
-
-    def check(self, mean: Floats, covariance: Floats, detections: Found, mixed: Mixed) -> dict[str, float]:
-        """Nothing."""
-        return {}
-
-    def at(self, frames: FramePair) -> BoxSensor:
+    def at(self, frames: FramePair, errors: PlateErrors | None) -> BoxSensor:
         """The same in every frame."""
         return self
 

@@ -64,18 +64,19 @@ class ViewSensor:
         """Log of (2 pi)^(-K / 2)."""
         return -0.5 * self.width * LOG_TURN
 
-    def at(self, frames: FramePair) -> ViewSensor:
-        """The same in every frame."""
+    def at(self, frames: FramePair, errors: PlateErrors | None) -> ViewSensor:
+        """With what is known of the errors of cameras; the same in every frame."""
+        return self if errors is None else evolve(self, errors=errors)
+
+    @property
+    def camera(self) -> ViewSensor:
+        """Itself: each looks through one."""
         return self
 
     @property
-    def camera(self) -> str:
-        """The camera through which it looks."""
+    def name(self) -> str:
+        """That of the camera."""
         return self.view.seen_by
-
-    def aim(self, errors: PlateErrors | None) -> ViewSensor:
-        """With what is known of the errors of cameras."""
-        return self if errors is None else evolve(self, errors=errors)
 
     def boxes(self, mean: Floats) -> Floats:
         """(T, 4) boxes in the image of states (T, D), as the camera shows them."""
