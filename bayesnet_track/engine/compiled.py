@@ -342,7 +342,7 @@ def _compile_plate(
         sensors={
             agent: make_sensor(plate, agent, rule, motion.fields)
             if views is None
-            else make_view_sensor(plate, agent, rule, motion.fields, views)
+            else make_view_sensor(plate, agent, rule, motion.fields, views, several_cameras)
             for agent, rule in rules.items()
         },
         opaque=frozenset(agent for agent in plate.agents if declared[agent].opaque),

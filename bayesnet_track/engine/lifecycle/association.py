@@ -274,8 +274,8 @@ class Several:
             model = detection_model.by(sensor)
             links[agent] = associate_marginal(rule, frames.current, crowd, model, looks[agent])
             detection_model = detection_model.after(sensor, links[agent].detection_model)
-            camera, weighed = rule.sensor.camera, (looks[agent], links[agent].mixed)
-            if camera is not None and (numbers := camera.check(*crowd.moments, *weighed)):
+            camera, mixed = rule.sensor.camera, links[agent].mixed
+            if camera is not None and (numbers := camera.check(*crowd.moments, looks[agent], mixed)):
                 self.work.cameras[camera.name] = numbers
             crowd = evolve(crowd, existence=links[agent].existence)
             if agent != last_agent:
@@ -308,10 +308,8 @@ class Several:
         detections: Found,
     ) -> TrackHistory:
         """Record which bounds refused detections beside targets without one."""
-        tracks = self.names, self.rows
-        return record_refusals(
-            self.compiled, self.work.frame.index, history, tracks, expected, (*assigned, detections.boxes)
-        )
+        step, tracks, sizes = self.work.frame.index, (self.names, self.rows), (*assigned, detections.boxes)
+        return record_refusals(self.compiled, step, history, tracks, expected, sizes)
 
     def _existence(self) -> Floats:
         """(T,) probability that each exists, as of the last frame."""

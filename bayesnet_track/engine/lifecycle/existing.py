@@ -206,11 +206,9 @@ def expect_detections(
     presence = detection_model.known.presence.extend(_as_seen_by(rule, unconfirmed.presence))
     chain, cover = detection_model.chain(settings), rule.sensor.cover(all_of.mean, all_of.existence)
     presence = expect_cover(presence, cover, detection_model.share_hidden(settings))
-    visible = np.ones(len(cover))
+    visible = rule.sensor.in_image(all_of.mean, all_of.covariance)
     for row, expected in crowd.modes.items():
-        visible[row] = expected.visible
-    if rule.camera:
-        visible *= rule.sensor.in_image(all_of.mean, all_of.covariance)
+        visible[row] *= expected.visible
     weights = Weights.of(all_of.existence, presence, chain, visible)
     if not rule.is_first:  # a false alarm is one of the first sensor
         weights.detection[:, 3:] = 0.0

@@ -40,6 +40,7 @@ class ViewSensor:
         fields: names of the D fields of a state.
         views: of the plate.
         view: through which it looks.
+        is_one_of_several: whether others see targets that are not in its image.
         is_unscented: whether moments are by sigma points.
         has_extent: False: a target moves in metres, as its motion says, not in sides of a box.
         errors: what is known of the errors of cameras in this frame; None where none is shared.
@@ -50,6 +51,7 @@ class ViewSensor:
     fields: tuple[str, ...]
     views: Views
     view: View
+    is_one_of_several: bool = False
     is_unscented: bool = False
     has_extent: bool = False
     errors: PlateErrors | None = None
@@ -75,7 +77,7 @@ class ViewSensor:
 
     @property
     def name(self) -> str:
-        """That of the camera."""
+        """Name of the camera."""
         return self.view.seen_by
 
     def boxes(self, mean: Floats) -> Floats:
@@ -130,11 +132,11 @@ class ViewSensor:
         return np.asarray(cover_rows(boxes, existence * in_view, order, COVERED) * in_view)
 
     def in_image(self, mean: Floats, covariance: Floats) -> Floats:
-        """Probability that a part of its box is, a Gaussian in the image; 1 if its size is not known."""
+        """Probability that a part of its box is, a Gaussian in the image; 1 where nobody looks elsewhere."""
         from scipy.special import ndtr
 
         size = self.view.camera.size
-        if size is None or not len(mean):
+        if size is None or not self.is_one_of_several or not len(mean):
             return np.ones(len(mean))
         expected = self.expect(mean, covariance)
         sd = np.sqrt(np.maximum(np.diagonal(expected.spread, axis1=1, axis2=2)[:, :2], 1e-12))
@@ -285,10 +287,15 @@ class ViewSensor:
 
 
 def make_view_sensor(
-    plate: CheckedTarget, agent: str, rule: AssociationRule, fields: tuple[str, ...], views: Views
+    plate: CheckedTarget,
+    agent: str,
+    rule: AssociationRule,
+    fields: tuple[str, ...],
+    views: Views,
+    is_one_of_several: bool,
 ) -> ViewSensor:
     """The sensor of an agent below a view that is given detections of boxes."""
     seen_by = plate.seen_by(agent)
     assert seen_by is not None
     view = next(entry for entry in views.views.values() if entry.seen_by == seen_by.name)
-    return ViewSensor(rule, agent, fields, views, view, is_unscented(plate))
+    return ViewSensor(rule, agent, fields, views, view, is_one_of_several, is_unscented(plate))
