@@ -154,7 +154,7 @@ gradient = _number("a number above 0, at most 100 is needed", maximum=100.0)
 share = _number("a number above 0, at most 1 is needed", maximum=1.0)
 
 
-FORMS = ("mot", "boxes", "corners", "polygons")
+FORMS = ("mot", "boxes", "corners", "centers", "polygons")
 """Those of `evaluate.truth`, which is not imported before it is needed."""
 
 
@@ -163,8 +163,8 @@ def add_truth_format(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--truth-format",
         choices=FORMS,
-        help="what a line of the ground truth holds: MOT, x,y,w,h, left,top,right,bottom, or four corners "
-        "(default: what the lines look like)",
+        help="what a line of the ground truth holds: MOT, x,y,w,h, left,top,right,bottom, the centre "
+        "and w,h, or four corners (default: what the lines look like)",
     )
 
 

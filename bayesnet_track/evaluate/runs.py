@@ -22,7 +22,7 @@ from bayesnet_track.journal.events.runs import RunEnded, RunStarted
 from bayesnet_track.journal.metrics import FrameMetrics
 from bayesnet_track.journal.reader import Measurements, read_events, read_metrics, read_seconds
 from bayesnet_track.numerics.arrays import Floats
-from bayesnet_track.numerics.boxes import corner_from_centre
+from bayesnet_track.numerics.boxes import centre_from_corner, corner_from_centre, overlap
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.boxes import explain_places
 from bayesnet_track.sources.entrances.notices import notice
@@ -31,6 +31,8 @@ E = TypeVar("E", bound=Event)
 
 _NOTHING = (math.nan,) * 4
 """The row of a frame in which the target has ended."""
+SAME_IOU = 0.5
+"""Overlap of the true box and the run's in its first frame, below which the file is asked about."""
 
 
 def score_run(
@@ -62,6 +64,9 @@ def score_run(
     if not any(frame in lines for frame in frames):
         raise ValueError(f"{truth_path}: {len(truth)} boxes, none of them for a frame of {folder}")
     metrics = [lines.get(frame) for frame in frames]
+    first = min(lines)
+    if frames[0] == first and np.isfinite(truth[first]).all():
+        _say_start(truth_path, first, truth[first], corner_from_centre(lines[first].centre_box))
     run_score = score_pass(
         np.array([_NOTHING if line is None else corner_from_centre(line.centre_box) for line in metrics]),
         [line is None or line.is_gone for line in metrics],
@@ -86,6 +91,32 @@ def say_misplaced(run_directory: Path, truth_path: str | Path, boxes: Floats) ->
     if start is not None:
         for reason in explain_places(boxes, (start.width, start.height), "true boxes"):
             notice(f"{truth_path}: {reason}")
+
+
+def _say_start(truth_path: str | Path, frame: int, true: Floats, reported: Floats) -> None:
+    """A notice where two corner boxes (4,) of the first frame lie apart, and how the true one would fit."""
+    x, y, w, h = true.tolist()
+    scale = math.sqrt(reported[2] * reported[3] / (w * h))
+    readings: dict[str, list[float]] = {
+        f"centre x, centre y, w, h: say {setting('--truth-format', 'centers')}": [x - w / 2, y - h / 2, w, h],
+        f"left, top, right, bottom: say {setting('--truth-format', 'corners')}": [x, y, w - x, h - y],
+        f"those of a video of another size: multiply all by {scale:.3g}": (scale * true).tolist(),
+    }
+    start = centre_from_corner(reported)
+    overlaps = {
+        reading: float(overlap(centre_from_corner(box), start)) if min(box[2:]) > 0 else 0.0
+        for reading, box in readings.items()
+    }
+    as_written = float(overlap(centre_from_corner(true), start))
+    reading = max(overlaps, key=overlaps.__getitem__)
+    if as_written < SAME_IOU:
+        is_explained = overlaps[reading] >= SAME_IOU
+        mend = f"its numbers fit as {reading}" if is_explained else "is it of this video, and of this target?"
+        corners = " and ".join(",".join(f"{value:.4g}" for value in box) for box in (true, reported))
+        notice(
+            f"{truth_path}: in frame {frame}, the first of the run, the true box and the run's ({corners}) "
+            f"overlap by {as_written:.2f}: {mend}"
+        )
 
 
 def tracks_of_run(folder: Path) -> Path | Tracks:

@@ -35,8 +35,8 @@ from bayesnet_track.sources.mot_blocks import (
 )
 from bayesnet_track.sources.mot_lines import LARGEST_FRAME, MotLines, parse_mot, read_text
 
-TruthForm = Literal["mot", "boxes", "corners", "polygons"]
-"""What a line holds: MOT, x,y,w,h, left,top,right,bottom, or the four corners of a polygon."""
+TruthForm = Literal["mot", "boxes", "corners", "centers", "polygons"]
+"""What a line holds: MOT, x,y,w,h, left,top,right,bottom, the centre,w,h, or the corners of a polygon."""
 
 FORMS: tuple[TruthForm, ...] = get_args(TruthForm)
 EXPECTED = "expected 4 (x,y,w,h) or 8 (a polygon), 5 (frame,x,y,w,h), or MOT lines"
@@ -77,7 +77,7 @@ def parse_truth(text: str, name: str = "<truth>", form: TruthForm | None = None)
     rows = _rows(lines)
     if not rows:
         raise ValueError(f"{name}: no boxes; expected one x,y,w,h per line")
-    boxes = _framed(rows, lines) if len(rows[0]) == 5 else np.array([_box(row, form) for row in rows])
+    boxes = _framed(rows, lines, form) if len(rows[0]) == 5 else np.array([_box(row, form) for row in rows])
     if form is None:
         _refuse_other_readings(boxes, rows, name)
     absent = ~np.isfinite(boxes).all(axis=1) | (boxes[:, 2:] <= 0).any(axis=1)
@@ -145,12 +145,13 @@ def _form_of_header(lines: TextLines) -> TruthForm | None:
     if columns.keys() & {"frame", "index"}:
         return None
     sides = ("right", "bottom") if layout.has_corners else ("width", "height")
-    if [columns.get(name) for name in ("left", "top", *sides)] != [0, 1, 2, 3] or len(words) != 4:
+    places = ("center_x", "center_y") if layout.has_centers else ("left", "top")
+    if [columns.get(name) for name in (*places, *sides)] != [0, 1, 2, 3] or len(words) != 4:
         raise ValueError(
             f"{lines.name}:{number}: a header line of boxes without frames; expected x,y,w,h, x1,y1,x2,y2, "
-            f"{','.join(CORNERS)}, or the names of MOT columns"
+            f"x_center,y_center,w,h, {','.join(CORNERS)}, or the names of MOT columns"
         )
-    return "corners" if sides[0] == "right" else "boxes"
+    return "corners" if layout.has_corners else "centers" if layout.has_centers else "boxes"
 
 
 def _rows(lines: TextLines, first: int | None = None) -> list[list[float]]:
@@ -181,10 +182,12 @@ def _box(row: list[float], form: TruthForm | None) -> list[float]:
         return [min(xs), min(ys), max(xs) - min(xs), max(ys) - min(ys)]
     if form == "corners":
         return [row[0], row[1], row[2] - row[0], row[3] - row[1]]
+    if form == "centers":
+        return [row[0] - row[2] / 2, row[1] - row[3] / 2, row[2], row[3]]
     return row
 
 
-def _framed(rows: list[list[float]], lines: TextLines) -> Floats:
+def _framed(rows: list[list[float]], lines: TextLines, form: TruthForm | None) -> Floats:
     """Boxes at the places that the first of their 5 numbers gives, from 1."""
     frames = np.array([row[0] for row in rows])
     for number, frame, previous in zip(
@@ -196,7 +199,7 @@ def _framed(rows: list[list[float]], lines: TextLines) -> Floats:
                 "from 1 that grow, or 4 numbers (x,y,w,h); another order needs a header line of names"
             )
     boxes = np.full((int(frames[-1]), 4), np.nan)
-    boxes[frames.astype(np.int64) - 1] = [row[1:] for row in rows]
+    boxes[frames.astype(np.int64) - 1] = [_box(row[1:], form) for row in rows]
     return boxes
 
 

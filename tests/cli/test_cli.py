@@ -1163,6 +1163,27 @@ def test_truth_of_another_length_is_asked_about(demo_run, tmp_path, capsys):
     assert "is it of this video" not in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("row", "options", "notice"),
+    [
+        ("270,190,40,40", "", "its numbers fit as centre x, centre y, w, h: say --truth-format centers"),
+        ("250,170,290,210", "", "its numbers fit as left, top, right, bottom: say --truth-format corners"),
+        ("125,85,20,20", "", "those of a video of another size: multiply all by 2"),
+        ("5,60,31,45", "", "is it of this video, and of this target?"),
+        ("270,190,40,40", "--truth-format centers", ""),
+        ("250,170,40,40", "", ""),
+    ],
+)
+def test_truth_of_another_form_is_asked_about_by_the_first_box_of_the_run(
+    demo_run, tmp_path, capsys, row, options, notice
+):
+    rows = tmp_path / "rows.txt"
+    rows.write_text(f"{row}\n" * 60)
+    main(["score", str(demo_run), "--truth", str(rows), *options.split()])
+    error = capsys.readouterr().err
+    assert notice in error and bool(notice) == ("in frame 0, the first of the run" in error)
+
+
 def test_truth_of_the_whole_video_suits_a_run_of_its_beginning(images, tmp_path, capsys):
     line = f"run two_squares --source {images} --init {BOX} --end 4 --quiet --out {tmp_path / 'run'}"
     assert main(shlex.split(line)) == 0
