@@ -162,6 +162,8 @@ def format_mot(index: int, detections: Detections) -> list[str]:
 
 MISSING = -1.0
 """A confidence that says: none is known."""
+PERCENT_FROM = 10.0
+"""The best confidence of a file in percent is not below it; margins and logits hardly get there."""
 
 Found = tuple[Floats, float, str]
 """A corner box (4,) in px, its score, its label."""
@@ -203,9 +205,10 @@ def parse_detections(text: str, name: str = "<detections>") -> dict[int, Detecti
     with frame (from 0) and detections, each with box (left, top, width, height), score (0..1; 1 when left
     out) and label (empty when left out). Any other is what `parse_mot` reads: frame (from 1), id (not looked
     at), left, top, width, height, confidence, and a class, which becomes the label. A missing confidence is
-    1, and so is -1, where all others are from 0 to 1; those of a file that go beyond 0..1 are on a scale of
-    their own, and mapped linearly, with a notice: the file's lowest to 0, its highest to 1 (all equal: all to
-    1). Boxes that are not finite or have no area are left out with a notice.
+    1, and so is -1, where all others are from 0 to 1, or percent: from 0 to 100, the highest from 10 on.
+    Percent is divided by 100. Those of a file that go beyond 0..1 otherwise are on a scale of their own, and
+    mapped linearly: the file's lowest to 0, its highest to 1 (all equal: all to 1). A notice says either.
+    Boxes that are not finite or have no area are left out with a notice.
 
     Raises:
         ValueError: a malformed line; says file and line.
@@ -274,6 +277,13 @@ def _shares(confidences: Floats, name: str) -> Floats:
                 f"{name}: {is_missing.sum()} of {len(confidences)} confidences are -1, which says none: they "
                 "are taken as 1"
             )
+        return scores
+    if PERCENT_FROM <= stated.max() <= 100 and stated.min() >= 0:
+        scores = np.where(has_confidence & ~is_missing, confidences / 100, 1.0)
+        notice(
+            f"{name}: confidences from {stated.min():g} to {stated.max():g} are taken as percent: divided by "
+            "100. Write confidences from 0 to 1 if they are none"
+        )
         return scores
     values = confidences[has_confidence]
     low, high = values.min(), values.max()

@@ -215,8 +215,8 @@ BOXES = (
         ),
         "boxes without an area, and confidences that are not finite, with their lines; detections of "
         "frames that are not read, outside of the frame, of other labels, or below the thresholds of the "
-        "graph; long times without any; how confidences beyond 0 to 1 are mapped; without images, the size "
-        "and the rate that are assumed",
+        "graph; long times without any; that confidences are percent, or how others beyond 0 to 1 are "
+        "mapped; without images, the size and the rate that are assumed",
         "a line that is neither MOT nor JSON Lines; polygons; frames that do not count from 1 (MOT) or 0 "
         "(JSON); coordinates from 0 to 1; files of other formats, with what takes them",
         "8 columns: MOT, or polygons; columns of corners and of sizes, or of two identities; a header or the "

@@ -157,15 +157,32 @@ def test_shares_of_the_frame_are_refused_and_how_the_size_is_given_is_said(run, 
 
 
 def test_confidences_that_are_mapped_are_said_with_the_numbers(run):
-    code, said = run("".join(f"{n},-1,20,30,40,50,{40 + 10 * n}\n" for n in range(1, 7)))
+    code, said = run("".join(f"{n},-1,20,30,40,50,{95 + n}\n" for n in range(1, 7)))
     assert code == 0
     assert (
-        "confidences from 50 to 100 are no probabilities, and are mapped: 50 becomes 0 and 100 becomes 1"
+        "confidences from 96 to 101 are no probabilities, and are mapped: 96 becomes 0 and 101 becomes 1"
         in said
     )
     code, said = run("".join(f"{n},-1,20,30,40,50,7\n" for n in range(1, 7)))
     assert code == 0 and "confidences from 7 to 7 are no probabilities, and are mapped: all become 1" in said
     assert run("".join(f"{n},-1,20,30,40,50,-1\n" for n in range(1, 7))) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("confidences", "scores", "notice"),
+    [
+        ((99.5, 50.5, -1), [1, 0.995, 0.505], "percent"),  # -1 says none, as beside probabilities
+        ((100.0, 0.5, 0), [1, 0.005, 0], "percent"),
+        ((10.0,), [0.1], "percent"),
+        ((9.5, 4.75, 0), [1, 0.5, 0], "mapped"),  # margins or logits
+        ((60.0, 10.0, -40.0), [1, 0.5, 0], "mapped"),
+        ((150.0, 100.0, 50.0), [1, 0.5, 0], "mapped"),
+    ],
+)
+def test_percent_are_divided_by_100_and_other_scales_mapped(confidences, scores, notice):
+    rows = "".join(f"1,-1,{20 * k},0,4,4,{value}\n" for k, value in enumerate(confidences))
+    with pytest.warns(InputNotice, match=notice):
+        assert parse_detections(rows)[0].scores.tolist() == scores
 
 
 def test_a_confidence_of_minus_1_beside_others_does_not_rescale_them():
