@@ -91,6 +91,13 @@ def test_the_command_line_gives_equal_bytes_in_any_order_of_the_cameras(room, tm
     assert main(["verify", str(tmp_path / "a")]) == 0
 
 
+def test_a_missing_file_of_detections_is_that_of_its_option_and_camera(room, tmp_path, capsys):
+    files = detections_in(room) | {"east": tmp_path / "gone.txt"}
+    assert main(["run", str(room), *options_of(files), "--out", str(tmp_path / "run"), "--quiet"]) == 2
+    error = capsys.readouterr().err
+    assert f"--detections of east: {tmp_path / 'gone.txt'}: No such file or directory; expected" in error
+
+
 def test_it_is_scored_in_metres(room, tmp_path, capsys):
     out, truth = tmp_path / "run", tmp_path / "truth.csv"
     for _ in track(room, None, detections=detections_in(room), out=out):

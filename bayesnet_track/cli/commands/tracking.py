@@ -245,13 +245,27 @@ def _run(options: argparse.Namespace) -> int:
     options.detections = given_once_or_named("--detections", options.detections, graph)
     if graph.several_cameras:
         options.executing = executor_of(options)
+        _check_detections(options, graph)
         with users_mistake(), open_cameras_given(options, graph, options.executing) as cameras:
             return track_source(options, graph, cameras, starts, folder, video=options.video)
     with users_mistake():
         options.source = str(source_or_times(options.source, graph, options.detections))
+    _check_detections(options, graph)
     with open_view(options) as view, open_given(options) as source:
         say_size(options, source)
         return track_source(options, graph, source, starts, folder, video=options.video, view=view)
+
+
+def _check_detections(options: argparse.Namespace, graph: CheckedGraph) -> None:
+    """Read the files of --detections, before one stands for a source; raises UsageError."""
+    from bayesnet_track.runtime.given_scans import given_detector
+    from bayesnet_track.runtime.several_cameras import named_files
+    from bayesnet_track.sources.mot_lines import COLUMNS
+
+    kinds = f"a text file with MOT lines ({COLUMNS}), JSON Lines, or a CSV of what sensors measured"
+    for camera, path in named_files(options.detections).items():
+        with users_file(f"--detections of {camera}:" if camera else "--detections", kinds):
+            given_detector(graph, str(path))
 
 
 def track_source(
@@ -264,19 +278,10 @@ def track_source(
     view: LiveView | None = None,
 ) -> int:
     """Track from the start boxes and write the run to `folder`; the exit code."""
-    from bayesnet_track.runtime.given_scans import given_detector
     from bayesnet_track.runtime.recording.rerun_sink import rerun_sinks
     from bayesnet_track.runtime.results import Summary, replay_inputs
     from bayesnet_track.runtime.session import track
-    from bayesnet_track.runtime.several_cameras import named_files
-    from bayesnet_track.sources.mot_lines import COLUMNS
 
-    detections = getattr(options, "detections", None)
-    if detections is not None:
-        kinds = f"a text file with MOT lines ({COLUMNS}), JSON Lines, or a CSV of what sensors measured"
-        with users_file("--detections", kinds):
-            for path in named_files(detections).values():
-                given_detector(graph, str(path))
     inputs = getattr(options, "inputs", None)
     if inputs is not None:
         with users_mistake():
@@ -308,13 +313,9 @@ def track_source(
                 tracks_csv=getattr(options, "tracks_csv", False),
                 horizon=getattr(options, "horizon", 0),
                 executor=getattr(options, "executing", None) or executor_of(options),
-                sinks=[
-                    *sinks,
-                    *([] if view is None else [view]),
-                    *([Narrator()] if options.verbose else []),
-                ],
+                sinks=[*sinks, *([] if view is None else [view]), *([Narrator()] if options.verbose else [])],
                 summary=summary,
-                detections=detections,
+                detections=getattr(options, "detections", None),
                 inputs=view if inputs is None else inputs,
                 budget_ms=_budget_ms(options, source),
                 checkpoint_every=options.checkpoint_every,
