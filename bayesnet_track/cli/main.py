@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -142,6 +143,7 @@ def _as_what_if(arguments: Sequence[str]) -> list[str]:
 
 COMPILING = "compiling kernels that no earlier command has needed: seconds, up to a minute"
 TRACKING = ("demo", "run", "resume", "batch", "what-if")
+RESUMED = ("demo", "run", "resume")
 LOOKS_BACK = ("log", "score", "report", "plot", "compare", "diagnose", "export")
 SILENT = ("quiet", "log_json", "json")
 """Options with which nothing is said of it: somebody reads by program, or does not want to know."""
@@ -169,8 +171,20 @@ def call(options: argparse.Namespace) -> int:
         code = _code_of(error, options.command)
         if code is None:
             raise
-        complain(f"bayesnet-track {options.command}: {words(error)}")
+        complain(f"bayesnet-track {options.command}: {words(error)}{_mend_full_disk(error, options)}")
         return code
+
+
+def _mend_full_disk(error: Exception, options: argparse.Namespace) -> str:
+    """The next step where a disk is full; nothing after another error."""
+    cause: BaseException | None = error
+    while cause is not None and getattr(cause, "errno", None) != errno.ENOSPC:
+        cause = cause.__cause__
+    if cause is None:
+        return ""
+    folder = getattr(options, "run", None) if options.command == "resume" else getattr(options, "out", None)
+    goes_on = f", then `bayesnet-track resume {folder}`" if options.command in RESUMED and folder else ""
+    return f"; free some space{goes_on}"
 
 
 def notice_compiling(options: argparse.Namespace) -> Callable[[], None]:

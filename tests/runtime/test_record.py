@@ -108,6 +108,7 @@ def test_a_full_disk_is_exit_code_6(tmp_path, capsys, monkeypatch, name):
     assert (code, out) == (6, "")
     assert err.startswith("bayesnet-track demo: ") and err.count("\n") == 1
     assert FILES[name] in err and "No space left on device" in err
+    assert err.endswith(f"; free some space, then `bayesnet-track resume {tmp_path / 'run'}`\n")
 
 
 @pytest.mark.slow
