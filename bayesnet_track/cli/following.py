@@ -86,9 +86,12 @@ def as_sentence(summary: Summary) -> str:
         parts[0] += f" ({', '.join(times)})"
     parts.append(_count(summary.reconfigurations, "reconfiguration"))
     if summary.lost_frames:
+        share = 100 * summary.lost_target_frames / max(summary.target_frames, 1)
+        lost_share = (
+            f"on average {share:.2g} % of the targets lost (at most {summary.most_targets} at a time)"
+        )
         lost = f"lost in {_count(summary.lost_frames, 'frame')}"
-        target_loss = f"a target {lost} (at most {summary.most_targets} targets at a time)"
-        parts.append(lost if summary.most_targets < 2 else target_loss)
+        parts.append(lost if summary.most_targets < 2 else lost_share)
     if not summary.complete:
         parts.append(ENDINGS[summary.reason])
     return ", ".join(parts)
@@ -234,7 +237,7 @@ def open_page(address: str) -> None:
 STOPPED = 130
 """Exit code of a run that a person stopped."""
 MOST_NAMED = 3
-"""Of more lost targets than this the progress line gives the number only."""
+"""Of more lost targets than this the progress line gives the number only, of more targets no UD."""
 
 
 @contextmanager
@@ -332,6 +335,8 @@ def _show(progress: Progress, summary: Summary, result: Result) -> None:
         status = f"{len(lost)} of {len(result.targets)} lost{whom}"
     ud_px2 = max((metrics.ud_px2 for metrics in result.targets), default=0.0)
     unit = next((metrics.ud_unit for metrics in result.targets), "px²")
+    if len(result.targets) > MOST_NAMED:
+        unit = ""
     # As if no time passed while kernels are compiled: the rate is that of frames.
     time_s = time.monotonic() - WATCH.seconds
     run_silently(partial(progress.update, time_s, summary.frames, tuple(active), ud_px2, status, unit))

@@ -147,18 +147,22 @@ class Progress:
         self._updates = 0
         self._shown_at: float | None = None
         self._width = 0
-        self._last = ""
+        self._last = self._shown = ""
 
     def update(
         self, moment: float, frames: int, active: Sequence[str], ud_px2: float, status: str, unit: str = "px²"
     ) -> None:
-        """Tell that so many `frames` are ready at `moment` (seconds, any origin); shows it when it is due."""
-        digits = 1 if unit == "px²" else 5
+        """Tell that so many `frames` are ready at `moment` (seconds, any origin); shows it when it is due.
+
+        With an empty `unit` UD stands only in the JSON object.
+        """
+        digits = 1 if unit in ("", "px²") else 5
+        ud_text = f"UD {ud_px2:.{digits - 1}f} {unit} | " if unit else ""
         finite = round(ud_px2, digits) if abs(ud_px2) < float("inf") else None
         self.advance(
             moment,
             frames,
-            f"{', '.join(active) or 'none'} | UD {ud_px2:.{digits - 1}f} {unit} | {status}",
+            f"{', '.join(active) or 'none'} | {ud_text}{status}",
             {"active": list(active), "ud_px2": finite, "status": status},
         )
 
@@ -178,9 +182,10 @@ class Progress:
             self._show()
 
     def finish(self) -> None:
-        """Show the last state and end the line."""
+        """Show the last state, unless it is shown, and end the line."""
         if self._last:
-            self._show()
+            if self._last != self._shown:
+                self._show()
             if self._redraws:
                 self._stream.write("\n")
             self._stream.flush()
@@ -211,6 +216,7 @@ class Progress:
         return f"frame {frames}{of_total} | {speed} fps{remaining} | {text}"
 
     def _show(self) -> None:
+        self._shown = self._last
         if self._redraws:
             self._stream.write("\r" + self._last.ljust(self._width))
             self._width = len(self._last)

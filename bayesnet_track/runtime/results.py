@@ -252,6 +252,8 @@ class Summary:
             where no second frame was tracked here.
         notices: what was wrong with the source.
         most_targets: the largest number of targets in a frame that was tracked here.
+        target_frames: sum of the number of targets over the frames that were tracked here.
+        lost_target_frames: the same of the targets that were lost.
         failures: the first failure of each agent, by its node and reason, of frames that were tracked here.
     """
 
@@ -265,13 +267,18 @@ class Summary:
     frames_per_second: float = 0.0
     notices: list[Event] = field(default_factory=list)
     most_targets: int = 0
+    target_frames: int = 0
+    lost_target_frames: int = 0
     failures: dict[tuple[str, str], Quarantined] = field(default_factory=dict)
 
     def add(self, result: Result) -> None:
         """Count one more frame."""
         self.frames += 1
         self.reconfigurations += sum(isinstance(event, Switch) for event in result.decisions)
-        self.lost_frames += bool(Lines.of(result.targets).places.is_lost.any())
+        lost = int(Lines.of(result.targets).places.is_lost.sum())
+        self.lost_frames += lost > 0
+        self.lost_target_frames += lost
+        self.target_frames += len(result.targets)
         self.most_targets = max(self.most_targets, len(result.targets))
         for event in result.decisions:
             if isinstance(event, Quarantined):

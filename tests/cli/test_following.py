@@ -78,7 +78,7 @@ def test_an_agent_that_failed_is_reported_at_the_end(capsys):
     )
 
 
-def test_lost_frames_of_many_targets_are_those_of_any_of_them():
+def test_of_many_targets_the_mean_share_that_is_lost_is_said():
     assert as_sentence(Summary(12, 0, 9, True, most_targets=1)).endswith(", lost in 9 frames")
-    many = as_sentence(Summary(12, 0, 9, True, most_targets=18))
-    assert many.endswith(", a target lost in 9 frames (at most 18 targets at a time)")
+    many = Summary(12, 0, 9, True, most_targets=18, target_frames=200, lost_target_frames=10)
+    assert as_sentence(many).endswith(", on average 5 % of the targets lost (at most 18 at a time)")
