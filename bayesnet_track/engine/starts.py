@@ -17,6 +17,7 @@ from bayesnet_track.engine.outcome import Outcome, State, with_external_inputs
 from bayesnet_track.engine.starting import CameraPoints, place_points
 from bayesnet_track.engine.step import Engine, finish_first, start_all
 from bayesnet_track.graph.checked import CheckedGraph
+from bayesnet_track.graph.checks.motion import describe_still_axes
 from bayesnet_track.graph.text.messages import nearest
 from bayesnet_track.inference.views import views_of
 from bayesnet_track.journal.events.event import Input
@@ -48,8 +49,8 @@ class Start:
     points: CameraPoints = field(default_factory=dict, hash=False)
 
 
-MOSTLY_OUTSIDE, SOME_OUTSIDE = 0.5, 0.1
-"""Shares of a start box outside of the frame from which it is said: of any, of one that fits as corners."""
+MOSTLY_OUTSIDE = 0.5
+"""Share of a start box outside of the frame from which it is said."""
 
 DISAGREE_PX = 10.0
 """From so many px on it is said that the cameras of a start disagree."""
@@ -239,13 +240,14 @@ def _say_outside(box: CornerBox, width: int, height: int) -> None:
     columns, rows = min(x + w, width) - max(x, 0.0), min(y + h, height) - max(y, 0.0)
     share = 1.0 - columns * rows / (w * h)
     fits_as_corners = 0 <= x < w <= width and 0 <= y < h <= height
-    if share <= (MOSTLY_OUTSIDE if not fits_as_corners else SOME_OUTSIDE):
+    is_cut = x + w > width + 1 or y + h > height + 1
+    if share <= MOSTLY_OUTSIDE and not (fits_as_corners and is_cut):
         return
     advice = ""
     if fits_as_corners:
         advice = f"; if its numbers are left, top, right, bottom, write {x:g},{y:g},{w - x:g},{h - y:g}"
     notice(
-        f"start box {x:g},{y:g},{w:g},{h:g} (left, top, width, height): {100 * share:.0f} % of it lies "
+        f"start box {x:g},{y:g},{w:g},{h:g} (left, top, width, height): {100 * share:.2g} % of it lies "
         f"outside of the {width}x{height} frame{advice}"
     )
 
@@ -286,6 +288,9 @@ def start_targets(
 ) -> Outcome:
     """The first frame: one net per start, ids "1", "2", ... in their order; then what detectors find."""
     _say_constants_die_out(engine)
+    for plate in graph.targets.values():
+        for sentence in describe_still_axes(plate):
+            notice(sentence)
     routed = route_inputs(engine, State().net, frame.index, external_inputs)
     cache = PlaneCache(FramePair(engine.with_inputs(engine.on_clock(frame)), None))
     work = FrameContext(engine, State().net, cache, {}, routed.availability, routed.by_hand)

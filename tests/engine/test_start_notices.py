@@ -81,6 +81,7 @@ def test_a_batch_takes_the_class_of_a_box(tmp_path, video):
         ((70, 10, 40, 20), "(left, top, width, height): 75 % of it lies outside of the 80x60 frame"),
         ((-30, 10, 40, 20), "75 % of it lies outside"),
         ((50, 20, 70, 50), "if its numbers are left, top, right, bottom, write 50,20,20,30"),
+        ((8, 12, 75, 50), "7.8 % of it lies outside"),
         ((20, 10, 70, 50), "if its numbers are left, top, right, bottom, write 20,10,50,40"),
     ],
 )
@@ -127,3 +128,28 @@ def test_a_frame_with_noise_alone_is_blank_and_one_of_one_colour_with_a_target_i
 def test_a_graph_that_finds_its_targets_may_begin_in_the_dark(recwarn):
     say_blank(Frame(0, 0.0, np.zeros_like(TEXTURE), True), [])
     assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    ("noise", "is_said"), [("{x: 9}", True), ("{x: 9, y: 0}", False), ("{x: 9, y: 9}", False)]
+)
+def test_an_axis_without_noise_is_said(tmp_path, capsys, noise, is_said):
+    graph = tmp_path / "g.yaml"
+    graph.write_text(
+        f"""
+bayesnet: 1
+name: walk
+targets:
+  dot:
+    nodes:
+      dot: {{fuse: product, belief: {{particles: {{size: 9}}}}, motion: {{random_walk: {{sd_px: {noise}}}}}}}
+      a: {{parent: dot, agent: color_histogram}}
+""",
+        encoding="utf-8",
+    )
+    assert main(["validate", str(graph)]) == 0
+    said = (
+        "random_walk has no noise of y, which stays as it is in the first frame; give it an sd, or write y: 0"
+    )
+    assert (said in capsys.readouterr().out) is is_said
+    assert any(said in text for text in started(str(graph), (10, 10, 20, 20))) is is_said

@@ -158,7 +158,7 @@ def test_mot_whose_lines_are_rectangles_too_is_refused():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("0.1,0.2,0.3,0.4\n", "all coordinates are from 0 to 1"),
+        ("0.1,0.2,0.3,0.4\n", "all coordinates are about 0 to 1"),
         ("5,1,2,3,4\n5,2,3,4,5\n", ":2: 5 numbers, the first 5; expected frame,x,y,w,h with frames"),
         ("1,1,0,0,9,9,1\n1,2,5,5,9,9,1\n", "boxes of 2 targets (1, 2); expected those of one"),
         ("1,1,0,0,9,9,1\n1,1,5,5,9,9,1\n", ":2: a second box in frame 1"),
@@ -170,7 +170,7 @@ def test_mot_whose_lines_are_rectangles_too_is_refused():
         ("x,y,w,h,x\n1,2,3,4,5\n", ":1: the header names 'x' twice"),
         ("198,5 214,5 34,0 81,0\n", ":1: '5 214' is separated by a space, and the line by commas"),
         ("10,5,40,5,20,0,24,0\n13,5,41,5,20,0,24,0\n16,2,43,5,20,0,24,0\n", "4 numbers with decimal commas"),
-        ("1,1,0.1,0.2,0.3,0.4,1\n", "all coordinates are from 0 to 1"),
+        ("1,1,0.1,0.2,0.3,0.4,1\n", "all coordinates are about 0 to 1"),
         ("1\t10,5\t2\t3\n", "decimal commas"),
         ("1;10,5;2;3\n", "'10,5' has a comma between other separators: a decimal comma (write 10.5)"),
         ("1,9223372036854775808,0,0,9,9\n", "id 9223372036854775808 is not a whole number"),

@@ -84,7 +84,15 @@ wrong.yaml:14:38: square: size:500 is empty; allowed: a value, or no such key
 wrong.yaml:22:29: square: above is 130; allowed: one of ud_px2, ud_box, ud_baseline, score
   22 |           activate: {above: 130, frames: 1}
      |                             ^
-  hint: write above: {ud_px2: 130}""",
+  hint: write above: {ud_px2: 130}, px²""",
+    ),
+    "{x: 10, y: 10}": (
+        "{x: 1,5, y: 10}",
+        """\
+wrong.yaml:16:39: square: 5 is empty; allowed: a value, or no such key
+  16 |           random_walk: {sd_px: {x: 1,5, y: 10}}
+     |                                       ^
+  hint: numbers have a decimal point, no comma""",
     ),
     "color_histogram: {floor: 0.003}": (
         "zoom: {floor: 0.003}",

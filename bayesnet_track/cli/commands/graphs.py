@@ -40,6 +40,7 @@ SCENE_GRAPHS = {
 
 def _validate(options: argparse.Namespace) -> int:
     """Check graph files; all errors of all files."""
+    from bayesnet_track.graph.checks.motion import describe_still_axes
     from bayesnet_track.graph.text.explain import describe_error
     from bayesnet_track.graph.text.load import load_graph
 
@@ -54,6 +55,9 @@ def _validate(options: argparse.Namespace) -> int:
         nodes = sum(len(plate.order) + len(plate.factors) for plate in graph.targets.values())
         agents = sum(len(plate.agents) for plate in graph.targets.values())
         say(f"{name}: ok ({graph.spec.name}: {nodes} nodes, {agents} of them agents)")
+        for plate in graph.targets.values():
+            for sentence in describe_still_axes(plate):
+                say(f"  {sentence}")
         opaque = ", ".join(_opaque(graph))
         if opaque:
             say(

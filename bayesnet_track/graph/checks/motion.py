@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from pydantic import ValidationError
 
+from bayesnet_track.graph.checked import CheckedTarget
 from bayesnet_track.graph.checks.cues import declares, plugin_parameters
 from bayesnet_track.graph.checks.factors import with_nearest
 from bayesnet_track.graph.checks.lifecycle import GraphCheck
@@ -170,17 +171,37 @@ def _is_of_a_part(plate: Plate, agent: str) -> bool:
     return False
 
 
+def _still_axes(settings: Moving) -> list[str]:
+    """Axes, of x and y, along which nothing drives a target."""
+    drive = getattr(settings, "sd_velocity_px", getattr(settings, "sd_acceleration_px", 0.0))
+    noises = (settings.sd_px, settings.sd_box)
+    return [
+        axis
+        for axis in ("x", "y")
+        if sum(getattr(noise, axis) for noise in noises) + getattr(drive, axis, drive) == 0
+    ]
+
+
+def describe_still_axes(target: CheckedTarget) -> Iterator[str]:
+    """A sentence if the root's motion has noise of one of x and y and none of the other, unless it says 0."""
+    motion = target.inference(target.root).motion
+    if motion is None or not isinstance(motion.settings, Moving):
+        return
+    still = _still_axes(motion.settings)
+    noises = (motion.settings.sd_px, motion.settings.sd_box)
+    if len(still) == 1 and not any(still[0] in noise.model_fields_set for noise in noises):
+        yield (
+            f"{target.name}: {motion.kind} has no noise of {still[0]}, which stays as it is in the first "
+            f"frame; give it an sd, or write {still[0]}: 0"
+        )
+
+
 def jumps_have_places(plate: Plate) -> Iterator[GraphMessage]:
     """`relocalize` needs noise of both x and y, and a detector that is installed and takes its parameters."""
     for name, key, settings in _moving(plate):
         if settings.relocalize is None:
             continue
-        driven = getattr(settings, "sd_velocity_px", getattr(settings, "sd_acceleration_px", 0.0)) > 0
-        still = [
-            axis
-            for axis in ("x", "y")
-            if not driven and getattr(settings.sd_px, axis) + getattr(settings.sd_box, axis) == 0
-        ]
+        still = _still_axes(settings)
         if still:
             fault = f"relocalize without noise of {' and '.join(still)}"
             yield plate.message(name, fault, "noise of x and y", key=(*key, "relocalize"), on_key=True)

@@ -117,14 +117,13 @@ def _nested(key: str, value: Any, model: type[BaseModel]) -> str:
     needed = [name for name, field in model.model_fields.items() if field.is_required()]
     if value is True or value is None:
         return "" if needed else f"write {key}: {{}}"
-    plain = (str,) if isinstance(value, str) else (int, float)
+    plain = (str,) if isinstance(value, str) else (int, float) if isinstance(value, int | float) else ()
+    shapes = {n: map(shape_of, shape_of(field.annotation).kinds) for n, field in model.model_fields.items()}
+    fitting = [n for n in shapes if any(kind.only in plain and kind.takes(value) for kind in shapes[n])]
+    names = [name for name in ("x", "y") if name in fitting] or fitting[:1]
     written = shown_value(value) if {*str(value)} & {*",:#{}[]'\""} else value
-    for name, field in model.model_fields.items() if isinstance(value, plain) else ():
-        shapes = [shape_of(kind) for kind in shape_of(field.annotation).kinds]
-        if any(shape.only in plain and shape.takes(value) for shape in shapes):
-            required = "".join(f"{field_name}: .., " for field_name in needed if field_name != name)
-            return f"write {key if key != name else 'NAME'}: {{{required}{name}: {written}}}"
-    return ""
+    pairs = [f"{name}: .." for name in needed if name not in names] + [f"{n}: {written}" for n in names]
+    return f"write {'NAME' if key in names else key}: {{{', '.join(pairs)}}}" if names else ""
 
 
 def _is_other(value: Any, kind: Any) -> bool:

@@ -170,6 +170,10 @@ def hint_of(message: GraphMessage) -> str:
     return ""
 
 
+SMALL_PX2 = 5.0
+"""A threshold below it is none in px²: a belief of one pixel would pass it."""
+
+
 def _parent(_: re.Match[str], message: GraphMessage) -> str:
     parent = "NODE" if message.allowed.startswith("the name") else message.allowed.partition(",")[0]
     return (
@@ -279,6 +283,19 @@ def _of_three(match: re.Match[str], _: GraphMessage) -> str:
     return f"a factor is of two targets, a and b; several are related by a join for each pair: {pairs}"
 
 
+def _uncertainty(match: re.Match[str], _: GraphMessage) -> str:
+    """The unit that a threshold of UD without one can have: shares of a box are small, px² are many."""
+    value = float(match["value"])
+    unit, meaning = (
+        ("ud_box", "a share of the box's area")
+        if value < 1
+        else ("ud_baseline", "times the usual UD")
+        if value < SMALL_PX2
+        else ("ud_px2", "px²")
+    )
+    return f"write {match['key']}: {{{unit}: {match['value']}}}, {meaning}"
+
+
 def _always(text: str) -> Callable[[re.Match[str], GraphMessage], str]:
     return lambda match, message: text
 
@@ -326,9 +343,10 @@ RULES: Sequence[Rule] = (
     (r"^key 'parent' is missing", _parent),
     (r"^unknown cue '[^']+'", _own_cue),
     (
-        r"^(?P<key>\w+) is (?P<value>-?[\d.]+); allowed: one of (?P<first>\w+)",
-        lambda match, _: f"write {match['key']}: {{{match['first']}: {match['value']}}}",
+        r"^(?P<key>above|below) is (?P<value>-?[\d.]+); allowed: one of ud_px2, ud_box, ud_baseline",
+        _uncertainty,
     ),
+    (r"^\d+ is empty; allowed: a value", _always("numbers have a decimal point, no comma")),
 )
 """Pattern of found and allowed -> the hint; the first that fits."""
 

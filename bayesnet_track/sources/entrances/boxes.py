@@ -138,14 +138,22 @@ def refuse_scores(boxes: Floats, name: str) -> None:
             )
 
 
+MOST_SHARE = 1.5
+"""Of the frame, for a coordinate of a box that is partly outside of it."""
+
+
 def refuse_shares(boxes: Floats, name: str) -> None:
-    """Raise ValueError where all coordinates are from 0 to 1, as shares of the frame's width and height."""
+    """Raise ValueError where all coordinates are shares of the frame's width and height.
+
+    Those of a target that is partly outside of the frame are below 0 or above 1.
+    """
     finite = boxes[np.isfinite(boxes).all(axis=1)]
-    if len(finite) and (finite >= 0).all() and (finite <= 1).all() and (finite % 1 != 0).any():
+    if len(finite) and (np.abs(finite) <= MOST_SHARE).all() and (finite % 1 != 0).any():
         raise ValueError(
-            f"{name}: all coordinates are from 0 to 1, as shares of a frame's width and height; boxes are in "
-            "px: multiply x and width by the frame's width, y and height by its height, or give the size of "
-            "the frames in columns: frame,id,xmin,ymin,xmax,ymax,width,height,confidence in a header line"
+            f"{name}: all coordinates are about 0 to 1, as shares of a frame's width and height; boxes are "
+            "in px: multiply x and width by the frame's width, y and height by its height, or give the "
+            "size of the frames in columns: frame,id,xmin,ymin,xmax,ymax,width,height,confidence in a "
+            "header line"
         )
 
 

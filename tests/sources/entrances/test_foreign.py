@@ -138,7 +138,7 @@ def test_detections_are_not_annotations(dark, tmp_path, capsys):
     assert "run-length encoded masks" in capsys.readouterr().err
 
 
-SHARES = "all coordinates are from 0 to 1"
+SHARES = "all coordinates are about 0 to 1"
 
 
 @pytest.mark.parametrize(

@@ -122,8 +122,10 @@ def test_sizes_that_are_small_or_do_not_follow_the_place_are_no_corners():
     assert not are_corners(np.hstack([rng.uniform(0, 20, (40, 2)), rng.uniform(30, 300, (40, 2))]))
     assert count_up(np.arange(1, 5)) and not count_up(np.arange(2))
     refuse_shares(np.array([[0.0, 0.0, 1.0, 1.0]]), "f")
-    with pytest.raises(ValueError, match="from 0 to 1"):
+    with pytest.raises(ValueError, match="about 0 to 1"):
         refuse_shares(np.array([[0.0, 0.0, 0.5, 1.0]]), "f")
+    with pytest.raises(ValueError, match="shares"):  # partly outside
+        refuse_shares(np.array([[-0.01, 0.9, 0.5, 0.2]]), "f")
 
 
 @pytest.mark.parametrize("line", ["{n},40,60,30,40,0.9", "{n},4{n},60,30,0.8,1", "{n},0,0.75,40,60,30,40"])
