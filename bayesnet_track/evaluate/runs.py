@@ -111,7 +111,7 @@ def _say_start(truth_path: str | Path, frame: int, true: Floats, reported: Float
     reading = max(overlaps, key=overlaps.__getitem__)
     if as_written < SAME_IOU:
         is_explained = overlaps[reading] >= SAME_IOU
-        mend = f"its numbers fit as {reading}" if is_explained else "is it of this video, and of this target?"
+        mend = f"its numbers fit as {reading}" if is_explained else "is it of this target?"
         corners = " and ".join(",".join(f"{value:.4g}" for value in box) for box in (true, reported))
         notice(
             f"{truth_path}: in frame {frame}, the first of the run, the true box and the run's ({corners}) "

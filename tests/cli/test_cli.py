@@ -1169,7 +1169,7 @@ def test_truth_of_another_length_is_asked_about(demo_run, tmp_path, capsys):
         ("270,190,40,40", "", "its numbers fit as centre x, centre y, w, h: say --truth-format centers"),
         ("250,170,290,210", "", "its numbers fit as left, top, right, bottom: say --truth-format corners"),
         ("125,85,20,20", "", "those of a video of another size: multiply all by 2"),
-        ("5,60,31,45", "", "is it of this video, and of this target?"),
+        ("5,60,31,45", "", "is it of this target?"),
         ("270,190,40,40", "--truth-format centers", ""),
         ("250,170,40,40", "", ""),
     ],
