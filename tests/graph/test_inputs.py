@@ -154,7 +154,8 @@ def test_a_wrong_input_is_refused_with_what_to_do(tmp_path, inputs):
 
 
 HINTS = {
-    "gyro": "a column of a CSV file is an input: inputs: {gyro: {file: FILE.csv}}",
+    "gyro": "hint: a column of a CSV file is an input: inputs: {gyro: {file: FILE.csv}}",
+    "width": "hint: width is written w; a column of a CSV file is an input: inputs: {width: ",
     "frame": "t is the time in frame intervals, the frame's number",
 }
 

@@ -132,3 +132,14 @@ targets:
     with pytest.raises(GraphError) as error:
         load_graph(tmp_path / "x.yaml")
     assert hint in describe_error(error.value)
+
+
+def test_queries_are_all_checked_behind_one_of_a_wrong_form(said):
+    found = said(
+        "      a: {parent: root, agent: intensity}",
+        "queries:",
+        "  crossed: {of: t, crosses: {line: [1, 2, 3, 4]}}",
+        '  near: {of: t, probability: "x > 3 & y > 4", interval: 2}',
+        '  far: {of: t, probability: "x + 3"}',
+    )
+    assert [(line, column) for line, column, _ in found] == [(12, 36), (13, 57), (13, 37), (14, 29)]

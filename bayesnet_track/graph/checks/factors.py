@@ -24,11 +24,13 @@ from bayesnet_track.graph.checks.plates import (
 )
 from bayesnet_track.graph.expressions.parse import parse, parse_value
 from bayesnet_track.graph.expressions.terms import (
+    COMPUTED,
     DRAWN,
     FRAME_NAMES,
     MASK,
     PARENT,
     STATE_NAMES,
+    TIMES,
     WORDS,
     Call,
     ExpressionError,
@@ -199,19 +201,18 @@ def with_nearest(message: GraphMessage, word: str, candidates: tuple[str, ...]) 
     if not word:
         return message
     if word in TIMES:
-        return replace(
-            message, hint="t is the time in frame intervals, the frame's number at a constant rate"
-        )
-    suggestion = nearest(word, candidates)
-    is_input = message.found.startswith("unknown name") and not suggestion and word not in STATE_NAMES
-    hint = (
-        "" if not is_input else f"a column of a CSV file is an input: inputs: {{{word}: {{file: FILE.csv}}}}"
-    )
-    return replace(message, nearest=suggestion, hint=hint)
-
-
-TIMES = ("frame", "time", "time_s", "frame_number")
-"""What is written for the time."""
+        hint = "t is the time in frame intervals, the frame's number at a constant rate"
+        return replace(message, hint=hint)
+    is_name = message.found.startswith("unknown name")
+    owner, dot, name = word.rpartition(".")
+    fields, form = COMPUTED.get(name, ((), ""))
+    fields = tuple(owner + dot + field for field in fields)
+    is_computed = is_name and fields and {*fields} <= {*candidates}
+    suggestion = "" if is_computed else nearest(word, candidates)
+    hints = [f"{word} is written {form.format(*fields)}"] if is_computed else []
+    if is_name and not dot and not suggestion and word not in STATE_NAMES:
+        hints.append(f"a column of a CSV file is an input: inputs: {{{word}: {{file: FILE.csv}}}}")
+    return replace(message, nearest=suggestion, hint="; ".join(hints))
 
 
 FACTOR_CHECKS: tuple[Check, ...] = (factors_can_be_read, masks_can_be_read, agents_find_what_they_read)

@@ -184,3 +184,19 @@ FRAME_S = "frame_s"
 """Name of queries alone: seconds per frame interval."""
 WORDS = frozenset({*FUNCTIONS, *FRAME_NAMES, *STATE_NAMES, "and", "or", "not", "parent", "a", "b"})
 """Names that constants cannot have."""
+
+TIMES = ("frame", "time", "time_s", "frame_number")
+"""What is written for the time."""
+
+COMPUTED = {
+    **dict.fromkeys(("speed", "velocity"), (("vx", "vy"), "hypot({}, {})")),
+    **dict.fromkeys(("direction", "heading"), (("vy", "vx"), "atan2({}, {})")),
+    "width": (("w",), "{}"),
+    "height": (("h",), "{}"),
+    "area": (("w", "h"), "{} * {}"),
+    "left": (("x", "w"), "{} - {} / 2"),
+    "right": (("x", "w"), "{} + {} / 2"),
+    "top": (("y", "h"), "{} - {} / 2"),
+    "bottom": (("y", "h"), "{} + {} / 2"),
+}
+"""Quantity that is no field of a state -> the fields that it is computed from, and how."""

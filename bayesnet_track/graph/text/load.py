@@ -38,6 +38,9 @@ NODE = 4
 TREE = frozenset({"parent", "agent", "factor", "fuse", "given"})
 """Keys of a node that say where it stands in the tree, and what its parent needs."""
 
+BESIDE_QUESTION = frozenset({"unit", "interval", "event_above"})
+"""Keys that a query can do without."""
+
 
 def errors_behind(
     value: Any, first: Iterable[GraphMessage], find: Callable[[Any], object]
@@ -78,6 +81,12 @@ def _mend(value: Any, message: GraphMessage) -> list[KeyPath]:
     with its whole node where that cannot do without it.
     """
     path = _written(value, message.path)
+    if message.path[:1] == ("queries",) and len(message.path) > 1:
+        # Nothing refers to a query; without its question it would be none.
+        place = message.path[: 3 if len(path) > 2 and path[2] in BESIDE_QUESTION else 2]
+        if len(path) >= len(place):
+            del _value_at(value, place[:-1])[place[-1]]
+        return [place]
     node = path[:NODE]
     if not path:
         return [()]
