@@ -12,7 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bayesnet_track.cli.arguments import UsageError, complain, pixels, users_mistake
+from bayesnet_track.cli.arguments import (
+    TRUTH_LINES,
+    UsageError,
+    complain,
+    pixels,
+    users_file,
+    users_mistake,
+)
 from bayesnet_track.journal.text.wording import plural
 
 if TYPE_CHECKING:
@@ -63,7 +70,7 @@ def tracks_of(options: argparse.Namespace) -> Tracks:
         raise UsageError("--motion reads boxes and no images: give --truth FILE, or --folder")
     boxes_of_tracks = []
     for file in files:
-        with users_mistake():
+        with users_file("--truth", f"{TRUTH_LINES}, or MOT lines"):
             if not is_mot(file, options.truth_format):
                 boxes_of_tracks.append(
                     centre_from_corner(read_truth(file, options.truth_format))[: options.end]
@@ -317,8 +324,8 @@ def find_videos(options: argparse.Namespace) -> Iterator[AnnotatedVideo]:
     counts: dict[str, int] = {}
     for name, source, file in pairs:
         counts[name] = counts.get(name, 0) + 1
-        with users_mistake():
-            unique = name if counts[name] == 1 else f"{name} {counts[name]}"
+        unique = name if counts[name] == 1 else f"{name} {counts[name]}"
+        with users_file("--truth", TRUTH_LINES):
             yield AnnotatedVideo(unique, source, read_truth(file, options.truth_format), options.value_range)
 
 

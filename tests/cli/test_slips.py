@@ -2,6 +2,7 @@
 
 import pytest
 
+from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser, suggest, suggest_nearest
 
 
@@ -30,3 +31,18 @@ def test_the_video_takes_a_format_and_no_name(given, said, capsys):
     with pytest.raises(SystemExit):
         make_parser().parse_args([*run, *given])
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["fit", "general", "--motion", "--out", "none.yaml"],
+        ["learn-shape", "none.npz", "--source", "none"],
+        ["learn-stereo", "--source", "none", "--right", "none"],
+    ],
+)
+def test_a_file_that_is_missing_is_named_with_its_option(command, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([*command, "--truth", "none.txt"]) == 2
+    said = f"bayesnet-track {command[0]}: --truth none.txt: No such file or directory; expected a text file"
+    assert capsys.readouterr().err.startswith(said)

@@ -14,7 +14,7 @@ from bayesnet_track.cli.arguments import (
     UsageError,
     complain,
     say,
-    users_mistake,
+    users_file,
     users_output,
     whole_number,
     words,
@@ -92,7 +92,7 @@ def _answer(options: argparse.Namespace, run: Run, queue: IdentityQueue, file: L
 
     if options.answers is not None:
         name, text = options.answers, ""
-        with users_mistake():
+        with users_file("--answers", "a text file with one answer per line, or - for the standard input"):
             text = sys.stdin.read() if name == "-" else Path(name).read_text(encoding="utf-8")
         # All or none: a file with a fault in its last line changes nothing.
         for answer in give_lines(queue, text.splitlines(), f"--answers {name}"):

@@ -13,6 +13,7 @@ from bayesnet_track.cli.arguments import (
     BAD_OUTPUT,
     INCOMPLETE,
     OK,
+    TRUTH_LINES,
     UsageError,
     add_plugins,
     add_set_option,
@@ -22,6 +23,7 @@ from bayesnet_track.cli.arguments import (
     free_folder,
     say,
     set_values,
+    users_file,
     users_mistake,
     users_output,
     whole_number,
@@ -183,8 +185,10 @@ def _scores(first: Run, second: Run, compared: Comparison, options: argparse.Nam
     if truth_path is None and not truth.is_file():
         return []
     runs = (first, second)
+    with users_file("--truth", f"{TRUTH_LINES}, or MOT lines"):
+        has_several = is_mot(truth, form)
     with users_mistake():
-        if is_mot(truth, form):
+        if has_several:
             mot = [score_several(run.directory.path, truth, form) for run in runs]
             return [
                 Total("MOTA", mot[0].mota, mot[1].mota, False),

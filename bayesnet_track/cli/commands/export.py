@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from bayesnet_track.cli.arguments import (
     OK,
+    TRUTH_LINES,
     UsageError,
     add_truth_format,
     check_free,
     complain,
     say,
+    users_file,
     users_mistake,
     users_output,
     whole_number,
@@ -120,7 +122,7 @@ def _truth(directory: RunDirectory, options: argparse.Namespace) -> NDArray[Any]
     place = directory.truth if truth_path is None else Path(truth_path)
     if truth_path is None and not place.is_file():
         return None
-    with users_mistake():
+    with users_file("--truth", TRUTH_LINES):
         truth = read_truth(place, options.truth_format)
     if truth_path is not None:
         say_lengths(directory.path, place, len(truth))

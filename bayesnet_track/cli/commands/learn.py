@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 from bayesnet_track.cli.arguments import (
     INCOMPLETE,
     OK,
+    TRUTH_LINES,
     UsageError,
     add_truth_format,
     complain,
     gradient,
     say,
     share,
+    users_file,
     users_mistake,
     users_output,
     whole_number,
@@ -96,7 +98,7 @@ def _from_boxes(options: argparse.Namespace) -> tuple[int, Examples]:
     from bayesnet_track.vision.planes import EdgePlane
     from bayesnet_track.vision.shape import frame_example
 
-    with users_mistake():
+    with users_file("--truth", TRUTH_LINES):
         boxes = centre_from_corner(read_truth(options.truth, options.truth_format))
     edges, examples = EdgePlane(options.edge_gray), []
     with open_source(options.source, None, len(boxes), value_range=options.value_range) as source:
@@ -193,7 +195,7 @@ def _learn_stereo(options: argparse.Namespace) -> int:
     for name in ESTIMATED:
         if name in settings:
             raise UsageError(f"--set {name}: it is what is estimated; leave it out")
-    with users_mistake():
+    with users_file("--truth", TRUTH_LINES):
         boxes = centre_from_corner(read_truth(options.truth, options.truth_format))
     end = len(boxes) if options.end is None else min(options.end, len(boxes))
     if options.start >= end:

@@ -284,7 +284,7 @@ def track_source(
 
     inputs = getattr(options, "inputs", None)
     if inputs is not None:
-        with users_mistake():
+        with users_file("--inputs", "inputs.jsonl of an earlier run"):
             replay_inputs(Path(inputs))
     if view is not None:
         selected = begin_view(options, view, graph, source, starts, folder)
