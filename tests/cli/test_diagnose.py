@@ -17,6 +17,7 @@ from bayesnet_track.cli.main import main
 from bayesnet_track.cli.parser import make_parser
 from bayesnet_track.graph.text.change import change_graph
 from bayesnet_track.journal.blocks import courses
+from bayesnet_track.journal.events.cameras import CameraKnocked
 from bayesnet_track.journal.events.faults import Quarantined
 from bayesnet_track.journal.metrics import FrameMetrics
 
@@ -171,6 +172,20 @@ def test_what_many_targets_have_in_common_is_printed_once(lines, monkeypatch, ca
         "  also  11 other targets: 2, 3, 4, 5, 6, 7, 8, 9, ...",
     ]
     assert len(said) == 4
+
+
+def test_cameras_that_are_found_off_again_and_again_may_be_exchanged(monkeypatch, capsys):
+    asked = []
+    for cameras in (("west", "west", "west", "east"), ("west", "east", "north", "west", "east")):
+        knocks = [
+            CameraKnocked(n, camera, 9.0, 0.0, 1.0, n, 3, 3, 50.0) for n, camera in enumerate(cameras, 9)
+        ]
+        run = OpenRun(load_graph("general").text, {}, [], tuple(knocks))
+        monkeypatch.setattr("bayesnet_track.runtime.recording.run_reader.open_run", lambda *_, run=run: run)
+        assert main(["diagnose", "R"]) == 0
+        asked += [line for line in capsys.readouterr().out.splitlines() if line.endswith("exchanged?")]
+    (question,) = asked
+    assert question.startswith("cameras west, east are found off again and again: are their files")
 
 
 def test_a_key_is_refused_with_the_reason_and_not_because_of_a_cue_of_the_user(lines):

@@ -612,6 +612,12 @@ GOLDEN = [
         "learnt anew, unless any one target had made up half of it",
     ),
     (
+        CameraKnocked(9, "east", 300.0, 400.0, 2.64, 8, 3, 4, 331702951.2),
+        "frame 9: camera east is 500 px off since frame 8 (+300 px across, +400 px down, ± 2.6 px): 3 of 4 "
+        "targets were so far off there and in no other camera (chi-square far above 30); its bias is widened "
+        "and learnt anew, unless any one target had made up half of it",
+    ),
+    (
         CamerasSwitched(12, ("north",), ("east",), 5, 0.03, 0.09, 0.036, 0.31, "south", 0.05, 0.712),
         "frame 12: camera north on, east off: expected mean UD of 5 targets 0.03 m² with it, 0.09 without; "
         "next south: 0.05; unless south cost at most 0.712",

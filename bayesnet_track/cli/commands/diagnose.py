@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cache
@@ -286,6 +287,13 @@ def _diagnose(options: argparse.Namespace) -> int:
     for event in knocks:
         say(event.describe())
         say(f"  look  bayesnet-track log {options.run} --why {event.frame}")
+    counts = Counter(event.camera for event in knocks)
+    often = [camera for camera, count in counts.items() if count > 1]
+    if len(often) > 1:
+        say(
+            f"cameras {', '.join(often)} are found off again and again: are their files (--source, "
+            "--detections) or their calibrations exchanged?"
+        )
     tried = False
     for check in checks:
         say(check.describe())

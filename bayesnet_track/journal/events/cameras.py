@@ -64,10 +64,11 @@ class CameraKnocked:
         """The sentence of the event, without its frame."""
         distance = (self.x_px**2 + self.y_px**2) ** 0.5
         way = f"{self.x_px:+.0f} px across, {self.y_px:+.0f} px down, ± {self.sd_px:.1f} px"
+        chi_square = f"{self.chi_square:.0f}" if self.chi_square < 1000.0 else "far above 30"
         return (
             f"camera {self.camera} is {distance:.0f} px off since frame {self.first_frame} ({way}): "
             f"{self.agree} of {self.targets} targets were so far off there and in no other camera "
-            f"(chi-square {self.chi_square:.0f}); its bias is widened and learnt anew, "
+            f"(chi-square {chi_square}); its bias is widened and learnt anew, "
             "unless any one target had made up half of it"
         )
 
