@@ -111,6 +111,8 @@ LARGEST = 2**53
 """Beyond it float64 does not tell whole numbers apart."""
 
 NO_ID = -1
+OF_IMAGES = frozenset({"image", "img", "picture", "file", "filename", "imagename", "path"})
+"""Words in the name of a column that holds names of images."""
 NOT_COUNTED = "DontCare"
 """KITTI's class of areas that are not labelled."""
 
@@ -202,9 +204,11 @@ def read_layout(lines: TextLines, layout: MotColumns) -> UncheckedRows:
     if at_frame is None:
         line = lines.first - 1
         unknown = f" (unknown: {few(layout.unused)})" if layout.unused else ""
+        images = next((column for column in layout.unused if OF_IMAGES & {*column.split("_")}), "")
+        replaced = f"replace each name in {images} by the image's place in the folder, and " if images else ""
         raise ValueError(
-            f"{lines.name}:{line}: no column of the header is called frame{unknown}; call the frame numbers "
-            f"frame if they count from 1, frame_index if they count from 0; expected {COLUMNS}"
+            f"{lines.name}:{line}: no column of the header is called frame{unknown}; {replaced}call the "
+            f"frame numbers frame if they count from 1, frame_index if they count from 0; expected {COLUMNS}"
         )
     numbers: list[int] = []
     frames: list[int] = []

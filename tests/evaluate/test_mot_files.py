@@ -53,6 +53,11 @@ def test_boxes_of_confidence_0_are_not_scored_and_all_others_are(write):
         ("1,1,0,0,9,9,1\n\n1,2,0,zero,9,9,1\n", ":3: 'zero' is not a number; expected frame,id,"),
         ("1,1,0,0,9,9,0\n2,1,0,0,9,9,0\n", ": no true box to score; 2 boxes have confidence 0"),
         ("", ": no true box to score"),
+        (
+            "image_name,x1,y1,x2,y2\na_1.jpg,1,2,3,4\n",
+            ":1: no column of the header is called frame (unknown: image_name); replace each name in "
+            "image_name by the image's place in the folder, and call the frame numbers frame if they count from 1",
+        ),
     ],
 )
 def test_a_wrong_truth_is_named(write, text, message):
