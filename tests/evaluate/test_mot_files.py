@@ -56,7 +56,8 @@ def test_boxes_of_confidence_0_are_not_scored_and_all_others_are(write):
         (
             "image_name,x1,y1,x2,y2\na_1.jpg,1,2,3,4\n",
             ":1: no column of the header is called frame (unknown: image_name); replace each name in "
-            "image_name by the image's place in the folder, and call the frame numbers frame if they count from 1",
+            "image_name by the image's place in the folder, and call the frame numbers frame if they "
+            "count from 1",
         ),
     ],
 )
