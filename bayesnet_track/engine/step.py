@@ -200,8 +200,13 @@ def switch_cameras(batch: Batch) -> Batch:
     work, state, budget = batch.work, batch.state, batch.work.engine.budget
     assert budget is not None
     memory, names, events = choose_cameras(work, batch.targets, state.history, budget)
-    cameras = {name: frame for name, frame in (work.frame.cameras or {}).items() if name in names}
-    cache = PlaneCache(FramePair(replace(work.frame, cameras=cameras), work.cache.frames.previous))
+    frame, frames = work.frame, work.frame.cameras or {}
+    earlier = frame.last_frames
+    if any(compiled.looking for compiled in work.engine.plates.values()):
+        earlier = {name: image for name, image in earlier.items() if name in names and image.is_readable}
+    cameras = {name: image for name, image in frames.items() if name in names and image.is_readable}
+    switched = replace(frame, cameras=cameras, last_frames=earlier)
+    cache = PlaneCache(FramePair(switched, work.cache.frames.previous))
     state = evolve(state, history=evolve(state.history, cameras=memory))
     return evolve(batch, work=evolve(work, cache=cache), state=state, early=events)
 

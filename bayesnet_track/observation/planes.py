@@ -212,6 +212,11 @@ class Frame:
         return self if self.cameras is None else self.cameras.get(camera)
 
     @property
+    def is_readable(self) -> bool:
+        """True: its image is there."""
+        return True
+
+    @property
     def height(self) -> int:
         """Rows of the image."""
         return int(self.image.shape[0])
@@ -250,12 +255,9 @@ class Region:
         height, width = frame.image.shape[:2]
         if 0 <= self.x0 <= self.x1 <= width and 0 <= self.y0 <= self.y1 <= height:  # the usual case
             return self
-        return Region(
-            min(max(self.x0, 0), width),
-            min(max(self.y0, 0), height),
-            min(max(self.x1, 0), width),
-            min(max(self.y1, 0), height),
-        )
+        x0, x1 = (min(max(x, 0), width) for x in (self.x0, self.x1))
+        y0, y1 = (min(max(y, 0), height) for y in (self.y0, self.y1))
+        return Region(x0, y0, x1, y1)
 
     def union(self, region: Region) -> Region:
         """The smallest region that holds both."""

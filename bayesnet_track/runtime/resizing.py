@@ -36,8 +36,9 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import Detections
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.detection_files import FileDetector
-from bayesnet_track.sources.frames import DecodedFrame, Size
+from bayesnet_track.sources.frames import DecodedFrame
 from bayesnet_track.sources.scan_files import ScanFile
+from bayesnet_track.sources.timing import Size
 
 LEAST_MAX_SIDE = 16
 """The smallest `max_side`, px."""

@@ -229,7 +229,8 @@ def open_cameras(
     for camera, size in graph.several_cameras.items():
         text = str(files[camera])
         if executing is None or executing.hosts == "engine":
-            openers[camera] = partial(open_source, text, size=size, **how)
+            lazy = graph.spec.adapt is not None  # a frame that is not chosen is not decoded
+            openers[camera] = partial(open_source, text, size=size, lazy=lazy, **how)
         else:
             settings = {name: value for name, value in how.items() if name != "live"}
             origin = Origin("plain", text, shown_address(text), size=size, **settings)

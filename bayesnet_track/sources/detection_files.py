@@ -25,9 +25,9 @@ from bayesnet_track.observation.planes import Frame, FramePair
 from bayesnet_track.sources.entrances.boxes import describe_unusable, refuse_shares, usable
 from bayesnet_track.sources.entrances.notices import notice
 from bayesnet_track.sources.entrances.text_lines import JSON_LINES, refuse_foreign
-from bayesnet_track.sources.frames import Picture
 from bayesnet_track.sources.mot_blocks import NAMES, plain_name
 from bayesnet_track.sources.mot_lines import parse_mot, read_text
+from bayesnet_track.sources.timing import Picture
 
 ASSUMED_RATE = 25.0
 """Frames a second where nothing says the rate."""

@@ -16,15 +16,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.journal.events.runs import (
-    OUTDATED,
     FramesDropped,
     FrameSizeChanged,
     FramesMissing,
@@ -36,26 +36,42 @@ from bayesnet_track.observation.planes import Depth, Frame, read_only
 from bayesnet_track.sources.entrances.notices import few
 from bayesnet_track.sources.origin import Origin, changed_since, stamps
 from bayesnet_track.sources.paths import SourceError, hide_secrets
+from bayesnet_track.sources.timing import Damage, Decoded, Dropped, Picture, Reader, Size, Stalled
 
-Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]
-
-Size = tuple[int, int]
-"""Width and height, px."""
+OnResize = Literal["stop", "rescale"]
 
 
-class Decoded(Protocol):
-    """A picture as a decoder left it, from which pixels of its own size, or fewer, are made."""
+@dataclass(frozen=True, eq=False)
+class Undecoded:
+    """A picture that is decoded when pixels are asked for, taken to be as the first one was.
 
-    @property
-    def size(self) -> Size:
-        """Width and height, upright."""
+    Attributes:
+        picture: it.
+        size: width and height.
+        has_color: False where its three channels would be copies.
+        on_resize: what is done where it has another size.
+        refuse: told why it cannot be decoded.
+    """
 
-    @property
-    def has_color(self) -> bool:
-        """False where its three channels would be copies."""
+    picture: Picture
+    size: Size
+    has_color: bool
+    on_resize: OnResize
+    refuse: Callable[[int, str], None]
 
     def pixels(self, size: Size) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 BGR of that size, no larger than its own; raises PictureError."""
+        """(H, W, 3) uint8 BGR of that size; raises PictureError."""
+        try:
+            image, has_color = self.picture.pixels()
+            if (actual := image.shape[1::-1]) != self.size and self.on_resize == "stop":
+                raise PictureError("{}x{} px, and the first one {}x{}".format(*actual, *self.size))
+            if has_color != self.has_color and self.on_resize == "stop":
+                gray, color = ("it", "the first one") if self.has_color else ("the first one", "it")
+                raise PictureError(f"{gray} is gray, and {color} has colour")
+        except PictureError as error:
+            self.refuse(self.picture.index, str(error))
+            raise
+        return image if image.shape[1::-1] == size else _resize(image, *size)
 
 
 class DecodedFrame(Frame):
@@ -65,21 +81,17 @@ class DecodedFrame(Frame):
     _smaller: NDArray[np.uint8] | None = None
 
     @classmethod
-    def from_decoded(cls, decoded: Decoded, index: int, time: float, time_s: float, stride: int) -> Self:
-        """The frame of a picture; no pixel is made yet."""
+    def from_decoded(cls, decoded: Decoded, index: int, time: float, time_s: float, **fields: Any) -> Self:
+        """The frame of a picture, with further `fields`; no pixel is made yet."""
         frame = cls.__new__(cls)
         frame.__dict__.update(
             index=index,
             time=time,
             has_color=decoded.has_color,
             time_s=time_s,
-            depth=None,
-            stride=stride,
-            inputs={},
-            cameras=None,
-            last_frames={},
+            _decoded=decoded,
+            **{"depth": None, "stride": 1, "inputs": {}, "cameras": None, "last_frames": {}, **fields},
         )
-        frame.__dict__["_decoded"] = decoded
         return frame
 
     @cached_property
@@ -87,6 +99,18 @@ class DecodedFrame(Frame):
         """The image; raises PictureError."""
         assert self._decoded is not None
         return read_only(self._decoded.pixels(self._decoded.size))
+
+    @property
+    def is_made(self) -> bool:
+        """True if somebody asked for the image, and it could be made."""
+        return "image" in self.__dict__
+
+    @property
+    def is_readable(self) -> bool:
+        """True if the image can be made, which is done; else its source says why before its next frame."""
+        with suppress(PictureError):
+            _ = self.image
+        return self.is_made
 
     @property
     def height(self) -> int:
@@ -110,103 +134,7 @@ class DecodedFrame(Frame):
         return Frame, tuple(getattr(self, field.name) for field in fields(Frame))
 
 
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """One picture of a reader.
-
-    Attributes:
-        index: its number, from 0.
-        time: its time in nominal frame intervals.
-        time_s: the same in seconds.
-        pixels: gives ((H, W, 3) uint8 BGR, has_color) when asked; raises PictureError.
-        skipped: how many before it were dropped, since something newer was there.
-        decoded: the picture itself, where its pixels can be made smaller than they are stored.
-        complete: makes of these pixels the frame's own and its depth, where the source has depth; raises
-            PictureError.
-    """
-
-    index: int
-    time: float
-    time_s: float
-    pixels: Pixels
-    complete: Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], Depth]] | None = None
-    skipped: int = 0
-    decoded: Decoded | None = None
-
-
-@dataclass(frozen=True)
-class Damage:
-    """Something a reader could not read.
-
-    Attributes:
-        index: number of the next picture.
-        reason: what the decoder said.
-        truncated: True when the source ends before its declared end.
-    """
-
-    index: int
-    reason: str
-    truncated: bool = False
-
-
-@dataclass(frozen=True)
-class Dropped:
-    """Pictures of a live source that were dropped since this was last told.
-
-    Attributes:
-        index: number of the next picture.
-        pictures: how many.
-        reason: why.
-    """
-
-    index: int
-    pictures: int
-    reason: str = OUTDATED
-
-
-@dataclass(frozen=True)
-class Stalled:
-    """A live source gave no picture for a while, and is connected to anew.
-
-    Attributes:
-        index: number of the next picture.
-        seconds: since the last picture.
-        reason: what was wrong.
-        attempt: how often it has been tried since the last picture, this time included.
-    """
-
-    index: int
-    seconds: float
-    reason: str
-    attempt: int
-
-
-ReaderItem = Picture | Damage | Dropped | Stalled
-
-
-class Reader(Protocol):
-    """Raw pictures in order."""
-
-    @property
-    def declared_frames(self) -> int | None:
-        """Number of frames that the source declares, or None."""
-
-    @property
-    def frame_interval_s(self) -> float:
-        """Nominal seconds between frames."""
-
-    @property
-    def gap_from(self) -> float:
-        """Steps of time from this length on, in nominal intervals, count as a gap."""
-
-    def __iter__(self) -> Iterator[ReaderItem]: ...
-
-    def close(self) -> None:
-        """Let go of files and devices."""
-
-
 SourceItem = Frame | FramesMissing | FramesDropped | FrameSizeChanged | SourceDamaged | SourceStalled
-OnResize = Literal["stop", "rescale"]
 EndReason = Literal["end_of_source", "source_truncated", "source_damaged", "frame_size_changed"]
 
 
@@ -229,6 +157,8 @@ class Source:
             this size is made, until somebody asks for a frame's image.
         end_reason: why it ended, in the words of `RunEnded.reason`; end_of_source while nothing is wrong.
         origin: how it was opened, where it can be opened again.
+        lazy: whether frames after the first are decoded when somebody asks for their images; of one that
+            cannot be decoded is told before the next, once, and of earlier ones no more.
 
     Raises:
         SourceError: no frame can be read.
@@ -242,6 +172,7 @@ class Source:
         end: int | None,
         on_resize: OnResize,
         origin: Origin | None = None,
+        lazy: bool = False,
     ) -> None:
         self.description, self.origin = hide_secrets(description), origin
         self.declared_frames = reader.declared_frames
@@ -253,6 +184,8 @@ class Source:
         self.end_reason: EndReason = "end_of_source"
         self._reader = reader
         self._start, self._end, self._on_resize = start or 0, end, on_resize
+        self.lazy, self._refused = lazy, list[SourceDamaged]()
+        self._untold = -1
         self._stamps = {} if origin is None else stamps(origin.files())
         self._items = _gathered(self._read())
         self._ahead: list[SourceItem] = []
@@ -325,8 +258,11 @@ class Source:
     def _read(self) -> Any:
         last_index = self._start - 1
         for item in self._read_frames():
-            last_index = item.index if isinstance(item, Frame) else last_index
+            if isinstance(item, Frame):
+                last_index = self._untold = item.index
             yield item
+            while self._refused:
+                yield self._refused.pop(0)
         changed_files = changed_since(self._stamps)
         if changed_files:
             names = few([path.name for path in changed_files])
@@ -358,7 +294,7 @@ class Source:
                 )
                 return
             try:
-                frame = self._frame(item)
+                frame = self._frame(item, first)
             except PictureError as error:
                 yield self._report_damage(item.index, str(error))
                 continue
@@ -385,11 +321,18 @@ class Source:
             if self._end is not None and item.index + 1 >= self._end:
                 return
 
-    def _frame(self, picture: Picture) -> Frame:
-        """The frame of a picture, of which the pixels that are tracked in are made; raises PictureError."""
+    def _frame(self, picture: Picture, first: Frame | None) -> Frame:
+        """The frame of a picture, of which the pixels that are tracked in are made; raises PictureError.
+
+        After the `first` one that is done later where the source is lazy.
+        """
         moment = (picture.index, picture.time)
+        if self.lazy and first is not None:
+            kind = (first.width, first.height), first.has_color, self._on_resize
+            undecoded = Undecoded(picture, *kind, self._refuse)
+            return DecodedFrame.from_decoded(undecoded, *moment, picture.time_s, stride=self.stride)
         if picture.decoded is not None and picture.complete is None:
-            frame = DecodedFrame.from_decoded(picture.decoded, *moment, picture.time_s, self.stride)
+            frame = DecodedFrame.from_decoded(picture.decoded, *moment, picture.time_s, stride=self.stride)
             _ = frame.image if self.tracked is None else frame.smaller(self.tracked)
             return frame
         image, has_color = picture.pixels()
@@ -397,6 +340,11 @@ class Source:
         if picture.complete is not None:
             image, depth = picture.complete(image)
         return Frame(*moment, image, has_color, picture.time_s, depth, self.stride)
+
+    def _refuse(self, index: int, reason: str) -> None:
+        if index == self._untold:  # who asks again, or for an earlier one, is no part of a run's events
+            self._untold = -1
+            self._refused.append(self._report_damage(index, reason))
 
     def _report_damage(self, index: int, reason: str, truncated: bool = False) -> SourceDamaged:
         self.end_reason = "source_truncated" if truncated else "source_damaged"

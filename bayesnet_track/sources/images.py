@@ -28,8 +28,8 @@ from bayesnet_track.observation.image_files import (
 )
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.entrances.notices import few, notice
-from bayesnet_track.sources.frames import Damage, Picture
 from bayesnet_track.sources.paths import OTHER_IMAGES, SourceError, is_junk, natural_key
+from bayesnet_track.sources.timing import Damage, Picture
 
 IMAGE_INTERVAL_S = 1.0 / 25.0
 MOST_BYTES = (1 << 31) - 1

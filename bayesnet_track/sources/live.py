@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from bayesnet_track.observation.image_files import PictureError
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
-from bayesnet_track.sources.frames import Damage, Dropped, Picture, Reader, ReaderItem, Stalled
 from bayesnet_track.sources.paths import SourceError
-from bayesnet_track.sources.timing import Flow
+from bayesnet_track.sources.timing import Damage, Dropped, Flow, Picture, Reader, ReaderItem, Stalled
 
 STALL_S = 2.0
 """Seconds without a picture after which a connection counts as stalled."""

@@ -92,6 +92,7 @@ class Origin:
         stride: every how many-th frame is read.
         value_range: the values that become black and white; None for all that their type holds.
         size: width and height of frames without images, where nothing beside their detections says it.
+        lazy: whether frames are decoded when somebody asks for their images.
         cameras: of several cameras, name -> how its source was opened.
         absolute: a path as given -> the same from the root.
         fingerprint: source, right, depth, calibration -> what it held.
@@ -111,6 +112,7 @@ class Origin:
     stride: int = 1
     value_range: tuple[float, float] | None = None
     size: tuple[int, int] | None = None
+    lazy: bool = False
     cameras: Mapping[str, Origin] = field(default_factory=dict)
     absolute: Mapping[str, str] = field(default_factory=dict)
     fingerprint: Mapping[str, Fingerprint] = field(default_factory=dict)

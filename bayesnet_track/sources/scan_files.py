@@ -20,8 +20,8 @@ from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.detector import Scan
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import few, notice
-from bayesnet_track.sources.frames import Picture
 from bayesnet_track.sources.mot_lines import read_text
+from bayesnet_track.sources.timing import Picture
 
 FRAME, TIME, SENSOR, SCORE = "frame", "time_s", "sensor", "score"
 SIDE = 16

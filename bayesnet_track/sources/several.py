@@ -1,4 +1,4 @@
-"""Sources of several cameras, merged by nominal time: each time is a step of the cameras with a frame."""
+"""Sources of several cameras, merged by nominal time to steps; and all kinds of sources, opened again."""
 
 from __future__ import annotations
 
@@ -6,18 +6,24 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import count
 from typing import Any, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bayesnet_track.journal.events.runs import FramesMissing, SourceDamaged
 from bayesnet_track.numerics.arrays import Array
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.sources.entrances.notices import notice
-from bayesnet_track.sources.frames import EndReason, SourceItem
+from bayesnet_track.sources.frames import DecodedFrame, EndReason, Source, SourceItem
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import SourceError
+from bayesnet_track.sources.scenes.library import SceneSource
+from bayesnet_track.sources.sources import open_source
+from bayesnet_track.sources.stereo_source import open_stereo_source
+from bayesnet_track.sources.timing import Size
 
 TOGETHER = 0.1
 """Frames of different cameras no farther apart than this share of the shortest interval are one step."""
@@ -44,13 +50,40 @@ class _CameraSource(Protocol):
     def __iter__(self) -> Iterator[SourceItem]: ...
 
 
+@dataclass(frozen=True, eq=False)
+class LastImage:
+    """The image of a step: that of its frame where somebody looked at it, else an earlier one.
+
+    Attributes:
+        frame: of the camera whose images are shown; None where it has none.
+        earlier: (H, W, 3) uint8, BGR.
+        has_color: whether that camera has colour.
+    """
+
+    frame: Frame | None
+    earlier: NDArray[np.uint8]
+    has_color: bool
+
+    @property
+    def size(self) -> Size:
+        """Width and height."""
+        height, width = self.earlier.shape[:2]
+        return width, height
+
+    def pixels(self, size: Size) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 BGR, of its own size."""
+        frame = self.frame
+        is_made = frame is not None and not (isinstance(frame, DecodedFrame) and not frame.is_made)
+        return frame.image if frame is not None and is_made else self.earlier
+
+
 @dataclass
 class SeveralSources:
     """The frames of several cameras as steps, in the order of their times; a context manager.
 
     The frames of a step are at most `TOGETHER` of the shortest frame interval apart, one of each camera. Its
-    time is that of the first of them, its image the last one that the first camera gave. It ends when all
-    sources have ended.
+    time is that of the first of them, its image the last one that the first camera gave, of frames that are
+    decoded when somebody asks the last one that was. It ends when all sources have ended.
 
     Attributes:
         sources: camera -> its opened source.
@@ -163,21 +196,13 @@ class SeveralSources:
             together = {c: frame for c, frame in waiting.items() if frame.time_s <= time_s + tolerance}
             for camera in together:
                 heads[camera].frame = None
-            if self._first in together:
-                image = together[self._first].image
-            intervals = (time_s - start) / self.frame_interval_s
+            step_image = LastImage(together.get(self._first), image, first.has_color)
             if step >= (self.start or 0):
-                yield Frame(
-                    step,
-                    intervals,
-                    image,
-                    first.has_color,
-                    time_s,
-                    cameras=together,
-                    last_frames=last_frames,
-                )
+                moment, cameras = (step, (time_s - start) / self.frame_interval_s, time_s), together
+                yield DecodedFrame.from_decoded(step_image, *moment, cameras=cameras, last_frames=last_frames)
                 last_frames = last_frames | together
                 self.frames += 1
+            image = step_image.pixels(step_image.size)
         reasons = [source.end_reason for source in self.sources.values()]
         self.end_reason = next((reason for reason in reasons if reason != "end_of_source"), "end_of_source")
 
@@ -220,3 +245,58 @@ def _at_step(item: Any, step: int) -> SourceItem:
     """An event of one source, at the number of a step."""
     event: SourceItem = replace(item, frame=step) if hasattr(item, "frame") else item
     return event
+
+
+OpenCamera = Callable[[str, Origin], Any]
+"""Opens the source of one of several cameras, by its name and how it was opened before."""
+
+
+def reopen(origin: Origin, open_camera: OpenCamera | None = None) -> Source | SceneSource | SeveralSources:
+    """The source from its first frame on; its paths where they were, or else as given.
+
+    Each of several cameras is opened by `open_camera`, if it is given.
+
+    Raises:
+        SourceError: it can only be read once, or no longer.
+        CalibrationError: the calibration file cannot be used.
+    """
+    if origin.only_once is not None:
+        raise SourceError(
+            origin.description, origin.only_once, "files and built-in scenes", "start a new run"
+        )
+    if origin.kind == "scene":
+        return SceneSource.named(origin.text, origin.seed, origin.end)
+    if origin.cameras:
+        return SeveralSources.opened(
+            {
+                camera: partial(reopen, part) if open_camera is None else partial(open_camera, camera, part)
+                for camera, part in origin.cameras.items()
+            },
+            origin.start,
+            origin.end,
+        )
+    places = origin.places()
+    # What is read again are files, however they are named: a run directory is data and allows nothing.
+    window = (origin.start, origin.end, False, origin.on_resize)
+    if origin.kind == "plain":
+        source = open_source(
+            places[origin.text],
+            *window,
+            origin.stride,
+            value_range=origin.value_range,
+            size=origin.size,
+            lazy=origin.lazy,
+        )
+    else:
+        source = open_stereo_source(
+            places[origin.text],
+            *window,
+            right=None if origin.right is None else places[origin.right],
+            depth=None if origin.depth is None else places[origin.depth],
+            side_by_side=origin.kind == "side_by_side",
+            calibration=None if origin.calibration is None else places[origin.calibration],
+            stride=origin.stride,
+            value_range=origin.value_range,
+        )
+    source.description, source.origin = origin.description, origin
+    return source

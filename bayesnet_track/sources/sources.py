@@ -11,7 +11,7 @@ from bayesnet_track.observation.image_files import pages_of
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.levels import ValueRange, value_range_of
 from bayesnet_track.sources.entrances.notices import notice
-from bayesnet_track.sources.frames import OnResize, Reader, Source, SourceItem
+from bayesnet_track.sources.frames import OnResize, Source, SourceItem
 from bayesnet_track.sources.images import HEAD_BYTES
 from bayesnet_track.sources.origin import Origin
 from bayesnet_track.sources.paths import (
@@ -22,10 +22,11 @@ from bayesnet_track.sources.paths import (
     _in_folder,
     _matching,
     _nearest,
+    is_file,
     natural_key,
     shown_address,
 )
-from bayesnet_track.sources.timing import strided
+from bayesnet_track.sources.timing import Reader, strided
 
 if TYPE_CHECKING:
     from bayesnet_track.sources.video import VideoReader
@@ -50,6 +51,7 @@ def open_source(
     live: bool | None = None,
     value_range: ValueRange | None = None,
     size: tuple[int, int] | None = None,
+    lazy: bool = False,
 ) -> Source:
     """The source that `text` names.
 
@@ -62,14 +64,15 @@ def open_source(
     without an end, and, with a notice, a stream of no declared length are live.
     `value_range` are the values that become black and white in frames of 8 bits (`entrances.levels.to_bgr`).
     `size` is the width and height, px, of frames that a file of detections stands for, where no file with it
-    has them.
+    has them. With `lazy` frames of files after the first are decoded when somebody asks for their images.
 
     Raises:
         SourceError: nothing can be read there; says what was found, what is allowed and how to mend it.
     """
     check_range(text, start, end)
     value_range = _checked_values(text, value_range)
-    reader = make_reader(text, allow_network, live, value_range, size)
+    lazy = lazy and is_file(text)  # cameras and streams give each picture once
+    reader = make_reader(text, allow_network, live, value_range, size, lazy)
     reader = strided(text, reader, start, stride)
     description = shown_address(text)
     origin = Origin(
@@ -83,8 +86,9 @@ def open_source(
         stride=stride,
         value_range=value_range,
         size=size,
+        lazy=lazy,
     )
-    return Source(description, reader, start, end, on_resize, origin)
+    return Source(description, reader, start, end, on_resize, origin, lazy)
 
 
 def check_range(text: str, start: int | None, end: int | None) -> None:
@@ -112,6 +116,7 @@ def make_reader(
     live: bool | None = None,
     value_range: ValueRange | None = None,
     size: tuple[int, int] | None = None,
+    lazy: bool = False,
 ) -> Reader:
     """The reader of what `text` names, as `open_source` takes it; raises SourceError."""
     if not text or "\0" in text:
@@ -142,7 +147,7 @@ def make_reader(
                 return _images(text, [path], value_range)
             if path.suffix.lower() in DETECTION_SUFFIXES:
                 return _without_images(text, size)
-            return _video(text, False, value_range)
+            return _video(text, False, value_range, lazy)
         if path.exists():
             raise SourceError(text, "it is neither a regular file nor a folder", KINDS, "give one of these")
     except PermissionError as error:
@@ -221,7 +226,7 @@ def _images(text: str, paths: list[Path], value_range: ValueRange | None) -> Rea
     return ImageReader(text, paths, value_range)
 
 
-def _video(text: str, network: bool, value_range: ValueRange | None) -> VideoReader:
+def _video(text: str, network: bool, value_range: ValueRange | None, lazy: bool = False) -> VideoReader:
     from bayesnet_track.sources.video import VideoReader
 
-    return VideoReader(text, network, value_range)
+    return VideoReader(text, network, value_range, lazy)

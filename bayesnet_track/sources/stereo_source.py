@@ -19,13 +19,13 @@ from bayesnet_track.observation.image_files import PictureError, check_size, rea
 from bayesnet_track.observation.planes import Depth, PointMap, RightEye
 from bayesnet_track.observation.settings import setting
 from bayesnet_track.sources.entrances.levels import ValueRange
-from bayesnet_track.sources.frames import Damage, OnResize, Picture, Reader, ReaderItem, Source
+from bayesnet_track.sources.frames import OnResize, Source
 from bayesnet_track.sources.images import ImageReader, times_of
 from bayesnet_track.sources.live import LiveReader
 from bayesnet_track.sources.origin import Kind, Origin
 from bayesnet_track.sources.paths import SourceError, depth_files, shown_address
 from bayesnet_track.sources.sources import check_range, make_reader
-from bayesnet_track.sources.timing import strided
+from bayesnet_track.sources.timing import Damage, Picture, Reader, ReaderItem, strided
 from bayesnet_track.vision.calibration import RectifiedPair, Rectifier, read_rectification
 
 Completed = tuple[Image, Depth]

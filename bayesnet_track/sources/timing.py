@@ -1,14 +1,18 @@
-"""Time of a source: its nominal interval and gaps, its end, and every K-th frame of it."""
+"""Pictures of a reader and their time: nominal interval and gaps, the end, and every K-th picture."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
-from bayesnet_track.sources.frames import Picture, Reader, ReaderItem
+import numpy as np
+from numpy.typing import NDArray
+
+from bayesnet_track.journal.events.runs import OUTDATED
+from bayesnet_track.observation.planes import Depth
 from bayesnet_track.sources.paths import SourceError
 
 DEFAULT_RATE = Fraction(25)
@@ -178,6 +182,122 @@ def flow_of(container: Any, stream: Any) -> Flow:
     if container.size is None or container.size < 0:  # None from PyAV 19 on
         return Flow("the server declares no length", False, in_segments, has_rate)
     return Flow(None, True, in_segments, has_rate)
+
+
+Pixels = Callable[[], tuple[NDArray[np.uint8], bool]]
+
+Size = tuple[int, int]
+"""Width and height, px."""
+
+
+class Decoded(Protocol):
+    """A picture as a decoder left it, from which pixels of its own size, or fewer, are made."""
+
+    @property
+    def size(self) -> Size:
+        """Width and height, upright."""
+
+    @property
+    def has_color(self) -> bool:
+        """False where its three channels would be copies."""
+
+    def pixels(self, size: Size) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 BGR of that size, no larger than its own; raises PictureError."""
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One picture of a reader.
+
+    Attributes:
+        index: its number, from 0.
+        time: its time in nominal frame intervals.
+        time_s: the same in seconds.
+        pixels: gives ((H, W, 3) uint8 BGR, has_color) when asked; raises PictureError.
+        skipped: how many before it were dropped, since something newer was there.
+        decoded: the picture itself, where its pixels can be made smaller than they are stored.
+        complete: makes of these pixels the frame's own and its depth, where the source has depth; raises
+            PictureError.
+    """
+
+    index: int
+    time: float
+    time_s: float
+    pixels: Pixels
+    complete: Callable[[NDArray[np.uint8]], tuple[NDArray[np.uint8], Depth]] | None = None
+    skipped: int = 0
+    decoded: Decoded | None = None
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Something a reader could not read.
+
+    Attributes:
+        index: number of the next picture.
+        reason: what the decoder said.
+        truncated: True when the source ends before its declared end.
+    """
+
+    index: int
+    reason: str
+    truncated: bool = False
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Pictures of a live source that were dropped since this was last told.
+
+    Attributes:
+        index: number of the next picture.
+        pictures: how many.
+        reason: why.
+    """
+
+    index: int
+    pictures: int
+    reason: str = OUTDATED
+
+
+@dataclass(frozen=True)
+class Stalled:
+    """A live source gave no picture for a while, and is connected to anew.
+
+    Attributes:
+        index: number of the next picture.
+        seconds: since the last picture.
+        reason: what was wrong.
+        attempt: how often it has been tried since the last picture, this time included.
+    """
+
+    index: int
+    seconds: float
+    reason: str
+    attempt: int
+
+
+ReaderItem = Picture | Damage | Dropped | Stalled
+
+
+class Reader(Protocol):
+    """Raw pictures in order."""
+
+    @property
+    def declared_frames(self) -> int | None:
+        """Number of frames that the source declares, or None."""
+
+    @property
+    def frame_interval_s(self) -> float:
+        """Nominal seconds between frames."""
+
+    @property
+    def gap_from(self) -> float:
+        """Steps of time from this length on, in nominal intervals, count as a gap."""
+
+    def __iter__(self) -> Iterator[ReaderItem]: ...
+
+    def close(self) -> None:
+        """Let go of files and devices."""
 
 
 class Strided:

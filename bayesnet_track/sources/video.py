@@ -8,7 +8,6 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -19,16 +18,34 @@ import numpy as np
 from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
-from bayesnet_track.numerics.arrays import Array
-from bayesnet_track.observation.image_files import MAX_PIXELS, PictureError
+from bayesnet_track.observation.image_files import MAX_PIXELS
+from bayesnet_track.sources.decoding import (
+    DEFERRABLE,
+    FAULTS,
+    NETWORK_TIMEOUT_S,
+    DecodedPicture,
+    DeferredDecoder,
+    Waiting,
+    begins_group,
+    pixels_of,
+    words_of,
+)
 from bayesnet_track.sources.entrances.levels import Levels, ValueRange
 from bayesnet_track.sources.entrances.notices import notice
-from bayesnet_track.sources.frames import Damage, Picture, Size
 from bayesnet_track.sources.paths import SourceError, shown_address
-from bayesnet_track.sources.timing import Declared, Flow, Timing, declared_by, flow_of, timing_of
+from bayesnet_track.sources.timing import (
+    Damage,
+    Declared,
+    Decoded,
+    Flow,
+    Picture,
+    Pixels,
+    Timing,
+    declared_by,
+    flow_of,
+    timing_of,
+)
 
-FAULTS = (av.error.FFmpegError, ValueError, OverflowError, MemoryError)
-NETWORK_TIMEOUT_S = 10.0
 ATTACHED_PICTURE = 0x0400
 LEAST_TURN = 1.0
 """Degrees by which a stored rotation may differ from quarter turns."""
@@ -81,130 +98,6 @@ def explain_frame(frame: Any) -> str | None:
     return None
 
 
-def pixels_of(frame: Any, reformatter: Any, levels: Levels) -> tuple[NDArray[np.uint8], bool]:
-    """The pixels of a decoded frame, upright, as ((H, W, 3) uint8 BGR, has_color).
-
-    By a range the values are those of the file where it is gray, and 8 or 16 bit where it has colour. Where
-    pixels can be transparent, the frame is laid over black, as images are (`levels.to_bgr`).
-
-    Raises:
-        PictureError: the pixel format cannot be converted.
-    """
-    name, bits = frame.format.name, max(part.bits for part in frame.format.components)
-    has_color = _has_color(name)
-    is_clear = any(part.is_alpha for part in frame.format.components)
-    is_wide = levels.value_range is not None and bits > 8
-    try:
-        if is_clear:
-            wide = "bgra64le" if is_wide else "bgra"
-            image = levels(_samples(frame if name == wide else reformatter.reformat(frame, format=wide)))[0]
-        elif levels.value_range is not None:
-            wide = ("bgr48le" if is_wide else "bgr24") if has_color else _plain_gray(name, bits)
-            image = levels(_samples(frame if name == wide else reformatter.reformat(frame, format=wide)))[0]
-        else:
-            image = reformatter.reformat(frame, format="bgr24" if has_color else "gray").to_ndarray()
-            if bits > 8 and not has_color:  # a colour format says itself which values are black and white
-                wide = _plain_gray(name, bits)
-                stored = frame if name == wide else reformatter.reformat(frame, format=wide)
-                levels.look(_samples(stored), image)
-    except FAULTS as error:
-        raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
-    return _upright(image, _quarter_turns(frame)), has_color
-
-
-@dataclass(frozen=True, eq=False)
-class DecodedPicture:
-    """A decoded frame of which smaller pixels are made without the whole ones (`frames.Decoded`).
-
-    A converter keeps what it prepared for one size: there is one for the whole size and one for a smaller.
-    """
-
-    frame: Any
-    converter: Any
-    shrinker: Any
-    levels: Levels
-
-    @property
-    def size(self) -> Size:
-        """Width and height, upright."""
-        size = self.frame.width, self.frame.height
-        return size[::-1] if _quarter_turns(self.frame) % 2 else size
-
-    @property
-    def has_color(self) -> bool:
-        """False where its format has none."""
-        return _has_color(self.frame.format.name)
-
-    def pixels(self, size: Size) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 BGR, upright: the stored values are averaged over areas before they become BGR.
-
-        Raises:
-            PictureError: the pixel format cannot be converted.
-        """
-        if size == self.size:
-            return pixels_of(self.frame, self.converter, self.levels)[0]
-        turns = _quarter_turns(self.frame)
-        width, height = size[::-1] if turns % 2 else size
-        kind = "bgr24" if self.has_color else "gray"
-        try:
-            image = self.shrinker.reformat(self.frame, width, height, kind, interpolation="AREA").to_ndarray()
-        except FAULTS as error:
-            raise PictureError(f"a frame cannot be converted: {_words(error)}") from error
-        return _upright(image, turns)
-
-
-def _decoded(frame: Any, converter: Any, shrinker: Any, levels: Levels) -> DecodedPicture | None:
-    """It as one of which smaller pixels can be made; None where its values are looked at one by one."""
-    parts = frame.format.components
-    is_plain = levels.value_range is None and not any(part.is_alpha for part in parts)
-    if is_plain and (_has_color(frame.format.name) or max(part.bits for part in parts) <= 8):
-        return DecodedPicture(frame, converter, shrinker, levels)
-    return None
-
-
-def _has_color(name: str) -> bool:
-    return not name.startswith(("gray", "mono", "ya8", "ya16"))
-
-
-def _upright(image: NDArray[np.uint8], turns: int) -> NDArray[np.uint8]:
-    if image.ndim == 2:
-        image = np.repeat(image[:, :, np.newaxis], 3, axis=2)
-    return np.ascontiguousarray(np.rot90(image, turns))
-
-
-def _plain_gray(name: str, bits: int) -> str:
-    """The format in which the values of a gray one are read: its own where it has nothing else."""
-    return name if name.startswith("gray") else "gray16le" if bits > 8 else "gray"
-
-
-def _samples(frame: Any) -> Array:
-    """The values of a packed frame as they are stored, (H, W), (H, W, 3) or (H, W, 4)."""
-    name, bits = frame.format.name, max(part.bits for part in frame.format.components)
-    channels = 4 if name.startswith("bgra") else 3 if name.startswith("bgr") else 1
-    kind = "u1" if bits <= 8 else "f4" if bits == 32 else "u2"
-    values = np.frombuffer(frame.planes[0], f"{'>' if name.endswith('be') else '<'}{kind}")
-    rows = values.reshape(frame.planes[0].height, -1)[:, : channels * frame.width]
-    image = rows.astype(np.dtype(kind))
-    return image if channels == 1 else image.reshape(*rows.shape[:1], -1, channels)
-
-
-def _quarter_turns(frame: Any) -> int:
-    """Number of quarter turns against the clock that bring the stored picture upright."""
-    degrees = getattr(frame, "rotation", None)
-    if degrees is None:  # PyAV 12; asking for side data leaves frames to the garbage collector
-        stored = frame.side_data.get("DISPLAYMATRIX")
-        matrix = np.array([1, 0]) if stored is None else np.frombuffer(stored, dtype=np.int32)
-        degrees = math.degrees(-math.atan2(matrix[1], matrix[0]))
-    return round(degrees / 90) % 4
-
-
-def _words(error: BaseException) -> str:
-    """Text of a decoder's error."""
-    if isinstance(error, av.error.ExitError):  # only the time-out asks for that
-        return f"no answer within {NETWORK_TIMEOUT_S:g} s"
-    return str(getattr(error, "strerror", None) or error or type(error).__name__)
-
-
 # Playlists and scripts (hls, concat, ...) name other files and hosts: only self-contained formats are read.
 FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,av1,obu,ivf,ogg,flv,asf,"
@@ -220,6 +113,9 @@ MOST_UNREAD = 0.1
 TOLERANT_METADATA: dict[str, Any] = (
     {"metadata_errors": "replace"} if int(av.__version__.split(".")[0]) < 19 else {}
 )
+STAMPED = frozenset({"mov", "matroska"})
+"""Containers in which each packet says when its picture is shown."""
+
 # In others a packet may hold a picture that is never shown; a transport stream may begin before a key frame.
 ONE_PICTURE_A_PACKET = frozenset({"h264", "hevc", "mpeg4", "mjpeg"})
 END_OF_JPEG, PADDING = b"\xff\xd9", 1 << 12
@@ -232,6 +128,9 @@ class VideoReader:
     A stream whose pixel format has no colour is gray; the pixels of a colour format are not looked at.
     After the last picture the declared length is compared with what was there.
 
+    With `lazy` pictures of MP4 and Matroska files that begin with a key frame, and go on to have some, are
+    decoded when their pixels are asked for, and whoever asks is told of damage.
+
     Attributes:
         flow: how pictures come over the network.
 
@@ -239,14 +138,16 @@ class VideoReader:
         SourceError: not a video, or none of the formats that stand on their own.
     """
 
-    def __init__(self, text: str, network: bool = False, value_range: ValueRange | None = None) -> None:
+    def __init__(
+        self, text: str, network: bool = False, value_range: ValueRange | None = None, lazy: bool = False
+    ) -> None:
         self._text = text
         self._levels = Levels(text, value_range)
         stamps: list[int] = []
-        unordered = False
+        unordered, has_keys = False, False
         if not network:
             with _open(text, network) as container:
-                stamps, unordered = _probe(container, _video_stream(text, container))
+                stamps, unordered, has_keys = _probe(container, _video_stream(text, container))
         self._container = _open(text, network)
         self._stream = _video_stream(text, self._container)
         for reason in explain_stream(self._container, self._stream):
@@ -274,6 +175,10 @@ class VideoReader:
         self._is_avi = self._container.format.name == "avi"
         unordered = (self._is_avi or unordered) and bool(self._stream.codec_context.has_b_frames)
         self._untimed: list[int] | None = [] if unordered else None
+        codec, formats = self._stream.codec_context, self._container.format.name.split(",")
+        is_indexed = has_keys and not unordered and not STAMPED.isdisjoint(formats)
+        is_lazy = lazy and is_indexed
+        self._deferred = DeferredDecoder(codec) if is_lazy else None
         self._origin: int | None = stamps[0] if stamps and self._untimed is None else None
 
     def close(self) -> None:
@@ -289,10 +194,10 @@ class VideoReader:
             except StopIteration:
                 break
             except self._broken as error:
-                yield Damage(self._index, f"the connection broke: {_words(error)}")
+                yield Damage(self._index, f"the connection broke: {words_of(error)}")
                 break
             except FAULTS as error:
-                yield Damage(self._index, f"the container is damaged: {_words(error)}")
+                yield Damage(self._index, f"the container is damaged: {words_of(error)}")
                 failures += 1
                 packets = self._container.demux(self._stream)
                 continue
@@ -319,10 +224,17 @@ class VideoReader:
                 return
             if self._untimed is not None and packet.dts is not None:
                 heapq.heappush(self._untimed, packet.dts)
+        if self._deferred is not None:
+            if packet is not None and packet.pts is None:
+                yield Damage(self._index, "a packet does not say when its picture is shown")
+                return
+            for waiting in self._deferred.add(packet):
+                yield self._deferred_picture(waiting)
+            return
         try:
             frames = self._stream.codec_context.decode(packet)
         except FAULTS as error:
-            yield Damage(self._index, f"the decoder refused a frame: {_words(error)}")
+            yield Damage(self._index, f"the decoder refused a frame: {words_of(error)}")
             if packet is not None:
                 self._lost = int(packet.is_corrupt)  # the last one is where the file was cut
                 self._index += 1
@@ -336,18 +248,42 @@ class VideoReader:
                 self._index += 1
             yield picture
 
+    def _deferred_picture(self, waiting: Waiting) -> Picture | Damage:
+        deferred, is_first = self._deferred, self._index == 0
+        assert deferred is not None
+
+        def make_pixels() -> tuple[NDArray[np.uint8], bool]:
+            frame = deferred.frame(waiting)
+            self._explain(frame, is_first)
+            return pixels_of(frame, self._reformatter, self._levels)
+
+        picture = self._picture_at(waiting.stamp, make_pixels)
+        self._index += isinstance(picture, Picture)
+        return picture
+
+    def _explain(self, frame: Any, is_first: bool) -> None:
+        if is_first and (reason := explain_frame(frame)) is not None:
+            notice(f"{shown_address(self._text)}: {reason}")
+
     def _picture(self, frame: Any) -> Picture | Damage:
         if self._untimed is not None:
             stamp = heapq.heappop(self._untimed) if self._untimed else None
         else:
             stamp = frame.pts if frame.pts is not None else frame.dts
+        self._explain(frame, self._index == 0)
+        pixels = partial(pixels_of, frame, self._reformatter, self._levels)
+        return self._picture_at(
+            stamp, pixels, DecodedPicture.from_frame(frame, self._reformatter, self._shrinking, self._levels)
+        )
+
+    def _picture_at(
+        self, stamp: int | None, pixels: Pixels, decoded: Decoded | None = None
+    ) -> Picture | Damage:
         if stamp is None:
             time = self._end_s / self.frame_interval_s
         else:
             self._origin = stamp if self._origin is None else self._origin
             time = self._timing.intervals(stamp - self._origin)
-        if self._index == 0 and (reason := explain_frame(frame)) is not None:
-            notice(f"{shown_address(self._text)}: {reason}")
         seconds = time * self.frame_interval_s
         limit = self._declared.duration_s
         if limit is not None and seconds > limit + 1.0:
@@ -355,13 +291,7 @@ class VideoReader:
                 self._index, f"a frame's time, {seconds:.3f} s, is past the declared end, {limit:.3f} s"
             )
         self._end_s = max(self._end_s, seconds + self.frame_interval_s)
-        return Picture(
-            self._index,
-            time,
-            seconds,
-            partial(pixels_of, frame, self._reformatter, self._levels),
-            decoded=_decoded(frame, self._reformatter, self._shrinking, self._levels),
-        )
+        return Picture(self._index, time, seconds, pixels, decoded=decoded)
 
     def _ending(self) -> Iterator[Damage]:
         frames, duration = self._stream.frames, self._declared.duration_s
@@ -400,8 +330,8 @@ def _open(text: str, network: bool) -> Any:
         return av.open(name, mode="r", options=options, timeout=timeout, **TOLERANT_METADATA)
     except FAULTS as error:
         if network:
-            raise _unreachable(text, _words(error)) from error
-        raise _not_a_video(text, _words(error)) from error
+            raise _unreachable(text, words_of(error)) from error
+        raise _not_a_video(text, words_of(error)) from error
 
 
 def _unreachable(text: str, fault: str) -> SourceError:
@@ -428,23 +358,29 @@ def _not_a_video(text: str, fault: str) -> SourceError:
     )
 
 
-def _probe(container: Any, stream: Any) -> tuple[list[int], bool]:
+def _probe(container: Any, stream: Any) -> tuple[list[int], bool, bool]:
     """The sorted times of the first packets, in the stream's time base, and whether all are decoding times.
 
-    Every picture up to the last decoding time is among them; later ones would leave holes.
+    Every picture up to the last decoding time is among them; later ones would leave holes. The last is
+    whether the first packet begins a group, and another does where there are so many.
     """
     stamps: list[int] = []
     known_until: int | None = None
-    all_decoding = True
+    all_decoding, groups = True, list[bool]()
+    is_stamped = stream.codec_context.name in DEFERRABLE
     try:
         for packet in container.demux(stream):
             stamp = packet.pts if packet.pts is not None else packet.dts
+            is_stamped = is_stamped and (packet.pts is not None or not packet.size)
             if packet.size and stamp is not None and not getattr(packet, "is_discard", False):
                 stamps.append(stamp)
                 known_until = packet.dts if packet.dts is not None else known_until
                 all_decoding = all_decoding and stamp == packet.dts
+                groups.append(is_stamped and begins_group(packet, stream.codec_context))
             if len(stamps) >= PROBE_PACKETS:
                 break
     except FAULTS:
         pass
-    return sorted(stamp for stamp in stamps if known_until is None or stamp <= known_until), all_decoding
+    has_keys = groups[:1] == [True] and (sum(groups) > 1 or len(stamps) < PROBE_PACKETS)
+    ordered = sorted(stamp for stamp in stamps if known_until is None or stamp <= known_until)
+    return ordered, all_decoding, has_keys

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import ClassVar
 
+import av
 import numpy as np
 import pytest
 
 from bayesnet_track import track
 from bayesnet_track.numerics.boxes import shares_inside
 from bayesnet_track.observation.cue import CueDeclaration
+from bayesnet_track.runtime.checkpoints.resume import resume
+from bayesnet_track.sources.several import SeveralSources
+from bayesnet_track.sources.sources import open_source
 from tests.engine.test_several_cameras import CAMERAS, boxes_of
 from tests.runtime.room import RATES, detections_in, place_at, sources_in, write_room
 
@@ -130,3 +135,49 @@ def test_an_agent_that_fails_in_one_camera_is_quarantined_there_alone(tmp_path):
         ("witness.east", "raised ValueError: blind in the east")
     }
     assert "witness.south" in results[-1].targets[0].active
+
+
+def write_h264(path, source):
+    """The video with a key frame in every fourth one, and pictures between that refer to later ones."""
+    with av.open(str(path), "w") as container, av.open(str(source)) as frames:
+        stream = container.add_stream("libx264", rate=frames.streams.video[0].average_rate)
+        stream.width, stream.height, stream.pix_fmt = *CAMERAS[path.stem].size, "yuv420p"
+        stream.options = {
+            "x264-params": "keyint=4:min-keyint=4:bframes=2:b-adapt=0:scenecut=0",
+            "preset": "fast",
+        }
+        for frame in frames.decode(video=0):
+            frame.pts = None
+            container.mux(stream.encode(frame.reformat(format="yuv420p")))
+        container.mux(stream.encode())
+
+
+def outputs_of(run):
+    unequal = {"manifest.json", "timings.jsonl", "recipe.json", "run.json"}  # they tell how it was opened
+    return {
+        path.name: path.read_bytes() for path in run.iterdir() if path.is_file() and path.name not in unequal
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agents", [(), ("color", "motion")])
+def test_only_frames_that_are_chosen_are_decoded_and_results_are_those_of_all(tmp_path, agents):
+    graph = write_room(tmp_path, agents=agents)
+    graph.write_text(json.dumps({**json.loads(graph.read_text()), "adapt": {"cost_per_step": 0.4}}))
+    videos = {camera: tmp_path / f"{camera}.mp4" for camera in RATES}
+    for camera, path in videos.items():
+        write_h264(path, sources_in(tmp_path)[camera])
+    named = {"detections": detections_in(tmp_path), "tracks_csv": True}
+    with SeveralSources({camera: open_source(str(path)) for camera, path in videos.items()}) as decoded:
+        list(track(graph, decoded, out=tmp_path / "decoded", **named))
+    results = list(track(graph, videos, out=tmp_path / "whole", **named))
+    made = [image.is_made for result in results[1:] for image in result.frame.cameras.values()]
+    looks = 2 if agents else 1  # at the frame before, too
+    assert 0 < sum(made) <= looks * 0.4 * len(results) < 0.7 * len(made)
+    assert outputs_of(tmp_path / "whole") == outputs_of(tmp_path / "decoded")
+    begun = track(graph, videos, out=tmp_path / "broken", **named)
+    for _ in range(13):
+        next(begun)
+    begun.close()
+    assert len(list(resume(tmp_path / "broken"))) == len(results) - 13
+    assert outputs_of(tmp_path / "broken") == outputs_of(tmp_path / "whole")

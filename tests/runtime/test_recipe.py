@@ -12,8 +12,8 @@ from bayesnet_track import Start, load_graph, track
 from bayesnet_track.runtime.checkpoints.recipe import VIDEO_FORMAT, Recipe, RecipeError, make_recipe
 from bayesnet_track.sources.origin import Origin, fingerprint_files
 from bayesnet_track.sources.paths import SourceError
-from bayesnet_track.sources.reopen import reopen
 from bayesnet_track.sources.scenes.library import SceneSource
+from bayesnet_track.sources.several import reopen
 from bayesnet_track.sources.sources import open_source
 
 

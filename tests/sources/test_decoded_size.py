@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from bayesnet_track import Start, track
+from bayesnet_track.journal.events.runs import SourceDamaged
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.runtime.checkpoints.resume import resume
 from bayesnet_track.runtime.checkpoints.standing import verify
-from bayesnet_track.sources import video
+from bayesnet_track.sources import decoding
 from bayesnet_track.sources.frames import DecodedFrame
 from bayesnet_track.sources.sources import open_source
 
@@ -128,8 +129,8 @@ def test_a_run_goes_on_to_the_same_bytes_and_does_not_make_whole_images(
         pass
     for file in ("journal.jsonl", "frames.npy.gz", "tracks.txt", "run.json"):
         assert (stopped / file).read_bytes() == (whole / file).read_bytes(), file
-    made, real = [], video.pixels_of
-    monkeypatch.setattr(video, "pixels_of", lambda *given: made.append(1) or real(*given))
+    made, real = [], decoding.pixels_of
+    monkeypatch.setattr(decoding, "pixels_of", lambda *given: made.append(1) or real(*given))
     for _ in track("general", videos / "color.mkv", [Start((60, 90, 60, 60))], max_side=MAX_SIDE):
         pass
     assert len(made) == 1  # a source looks at its first frame when it is opened
@@ -148,3 +149,56 @@ def test_the_way_a_source_is_read_does_not_change_results(videos: Path) -> None:
                 assert not touch or result.frame.image.shape == (HEIGHT, WIDTH, 3)
         boxes.append(found)
     assert boxes[0] == boxes[1] and len(boxes[0]) == FRAMES
+
+
+@pytest.mark.parametrize("kind", ["open-gop=1:bframes=3", "intra-refresh=1:bframes=0"])
+@pytest.mark.parametrize("asked", [range(0, 40), range(3, 40, 7), (1, 2, 25, 24, 0, 39)])
+def test_pictures_that_are_decoded_on_request_are_those_of_all(
+    tmp_path: Path, asked: tuple[int, ...], kind: str
+) -> None:
+    """Of an open group the first pictures refer to the group before; a refresh in stripes begins no group."""
+    path = tmp_path / "groups.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.options = {"x264-params": f"keyint=10:min-keyint=10:b-adapt=0:scenecut=0:{kind}"}
+        for index in range(40):
+            image = np.roll(painted(0)[:48, :64], 3 * index, axis=1)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
+        container.mux(stream.encode())
+    frames = [frame for frame in open_source(str(path), lazy=True) if isinstance(frame, Frame)]
+    for index in asked:
+        assert frames[index].is_readable
+    later = frames[1:]  # the first one is decoded when the source is opened
+    assert [isinstance(frame, DecodedFrame) and frame.is_made for frame in later] == [
+        index in asked for index in range(1, 40)
+    ]
+    decoded = [frame for frame in open_source(str(path)) if isinstance(frame, Frame)]
+    assert [frame.time_s for frame in frames] == [frame.time_s for frame in decoded]
+    for index in asked:
+        assert np.array_equal(frames[index].image, decoded[index].image)
+
+
+def test_an_image_that_cannot_be_decoded_is_told_of_when_it_is_asked_for(tmp_path: Path) -> None:
+    for index in range(5):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), painted(index))
+    (tmp_path / "1.png").write_bytes(b"")
+    (tmp_path / "2.png").write_bytes(b"")
+    cv2.imwrite(str(tmp_path / "4.png"), painted(4)[:100])
+    asked, items = (0, 2, 3, 4), []
+    source = open_source(str(tmp_path), lazy=True)
+    for item in source:
+        if isinstance(item, Frame) and item.index in asked:
+            items.append((item.index, all([item.is_readable, item.is_readable])))  # told of once
+        else:
+            items.append(item)
+    assert [item for item in items if isinstance(item, tuple)] == [
+        (0, True),
+        (2, False),
+        (3, True),
+        (4, False),
+    ]
+    told = [item for item in items if isinstance(item, SourceDamaged)]
+    assert [(event.frame, event.times) for event in told] == [(2, 1), (4, 1)]
+    assert "322x100 px, and the first one 322x242" in told[1].reason
+    assert source.end_reason == "source_damaged"

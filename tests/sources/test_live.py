@@ -11,8 +11,9 @@ import pytest
 
 from bayesnet_track.journal.events.runs import FramesDropped, FramesMissing, SourceDamaged, SourceStalled
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.sources.frames import Dropped, Picture, Source
+from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.live import LiveReader, _Drops
+from bayesnet_track.sources.timing import Dropped, Picture
 
 INTERVAL_S = 0.01
 

@@ -10,8 +10,9 @@ from scipy.stats import binom
 from bayesnet_track.journal.codec import from_json, to_json
 from bayesnet_track.journal.events.runs import FramesMissing, SourceDamaged
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.sources.frames import Damage, Picture, Source
+from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.sources import SourceError, open_source
+from bayesnet_track.sources.timing import Damage, Picture
 
 CONTAINERS = ["plain.mp4", "start.mp4", "xvid.avi", "h264.mkv"]
 FRAMES = 40

@@ -8,9 +8,10 @@ import pytest
 
 from bayesnet_track.journal.events.runs import SourceDamaged
 from bayesnet_track.observation.planes import Frame, PointMap, RightEye, StereoGeometry
-from bayesnet_track.sources.frames import Damage, Picture, Source
+from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.paths import SourceError
 from bayesnet_track.sources.stereo_source import DepthReader, open_stereo_source, two_eyes
+from bayesnet_track.sources.timing import Damage, Picture
 from bayesnet_track.vision.calibration import RectifiedPair, write_calibration
 
 WIDTH, HEIGHT = 32, 24

@@ -8,7 +8,7 @@ import pytest
 
 from bayesnet_track.journal.events.runs import FramesMissing
 from bayesnet_track.observation.planes import Frame
-from bayesnet_track.sources.reopen import reopen
+from bayesnet_track.sources.several import reopen
 from bayesnet_track.sources.sources import SourceError, open_source
 from bayesnet_track.sources.timing import Strided, strided
 

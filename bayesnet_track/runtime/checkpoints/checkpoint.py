@@ -11,7 +11,7 @@ import hashlib
 import json
 import time
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
@@ -83,30 +83,32 @@ class Checkpoint:
         Raises:
             CheckpointError: the frame has other pixels, or the state is of another version or graph.
         """
-        if _pixels_of(frame) != self.pixels:
-            raise CheckpointError(f"frame {frame.index} of the source has other pixels than it had")
         try:
             state: State = decode_state(self.state, engine, frame)
         except StateError as error:
             raise CheckpointError(f"the checkpoint's state: {error}") from error
+        if _pixels_of(frame, state.history.cameras.cameras) != self.pixels:
+            raise CheckpointError(f"frame {frame.index} of the source has other pixels than it had")
         return RunPosition(frame, state, self.frames, self.reconfigurations, self.lost_frames)
 
 
-def _pixels_of(frame: Frame) -> int:
-    """A checksum of all that a frame shows, of several cameras in all of them."""
+def _pixels_of(frame: Frame, cameras: Sequence[str] = ()) -> int:
+    """A checksum of all that a frame shows, of several cameras in those that are on, or in all."""
     if frame.cameras is not None:
-        checksums = [_pixels_of(image) for image in frame.cameras.values()]
+        switched_on = cameras or tuple(frame.cameras)
+        images = [image for camera, image in frame.cameras.items() if camera in switched_on]
+        checksums = [_pixels_of(image) for image in images if image.is_readable]
         return zlib.crc32(np.array(checksums, np.uint32).tobytes())
     if frame.place is not None:
         return int(frame.place.checksum)
-    images: list[NDArray[Any]] = [frame.image]
+    planes: list[NDArray[Any]] = [frame.image]
     match frame.depth:
         case RightEye():
-            images.append(frame.depth.image)
+            planes.append(frame.depth.image)
         case PointMap():
-            images.append(frame.depth.points)
+            planes.append(frame.depth.points)
     checksum = 0
-    for pixels in images:
+    for pixels in planes:
         checksum = zlib.crc32(np.ascontiguousarray(pixels), checksum)  # type: ignore[arg-type]
     return checksum
 
@@ -245,7 +247,7 @@ def checkpoint_of(position: RunPosition, written: FilePositions, recipe: str) ->
     return Checkpoint(
         recipe,
         position.frame.index,
-        _pixels_of(position.frame),
+        _pixels_of(position.frame, position.state.history.cameras.cameras),
         position.frames,
         position.reconfigurations,
         position.lost_frames,

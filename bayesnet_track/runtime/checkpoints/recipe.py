@@ -37,9 +37,8 @@ from bayesnet_track.sources.origin import Origin
 if TYPE_CHECKING:
     from bayesnet_track.runtime.results import FrameSource
     from bayesnet_track.sources.frames import Source
-    from bayesnet_track.sources.reopen import OpenCamera
     from bayesnet_track.sources.scenes.library import SceneSource
-    from bayesnet_track.sources.several import SeveralSources
+    from bayesnet_track.sources.several import OpenCamera, SeveralSources
 
 
 BYTES_AT = 0x10FF00
@@ -243,7 +242,8 @@ class Recipe:
         for name in ("cue_files", "own_cues", "masks", "calibrations", "models", "camera_detections"):
             if not plain[name]:  # as a recipe was before there were any
                 del plain[name]
-        usual_values: dict[str, Any] = {"stride": 1, "value_range": None, "size": None, "cameras": {}}
+        usual_values: dict[str, Any] = {"stride": 1, "value_range": None, "size": None, "lazy": False}
+        usual_values |= {"cameras": {}}
         for origin in (plain["origin"], *plain["origin"]["cameras"].values()):
             for name, default in usual_values.items():
                 if origin[name] == default:
@@ -293,7 +293,7 @@ class Recipe:
             SourceError: it could be read only once, or it is gone.
             CalibrationError: the pair's calibration file cannot be used.
         """
-        from bayesnet_track.sources.reopen import reopen
+        from bayesnet_track.sources.several import reopen
 
         return reopen(self.origin, open_camera)
 

@@ -299,7 +299,7 @@ class CameraStream:
         return self._frames[-1]
 
     def _open(self) -> None:
-        from bayesnet_track.sources.reopen import reopen
+        from bayesnet_track.sources.several import reopen
 
         self._source = reopen(self._settings.origin)
         self._items = iter(self._source)

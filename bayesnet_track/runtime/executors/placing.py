@@ -34,7 +34,7 @@ from bayesnet_track.runtime.executors.workers import Limits, NoWorkerError, Plac
 from bayesnet_track.runtime.stop import has_workers, no_workers
 from bayesnet_track.sources.frames import Source
 from bayesnet_track.sources.origin import Origin
-from bayesnet_track.sources.reopen import reopen
+from bayesnet_track.sources.several import reopen
 from bayesnet_track.sources.sources import DETECTION_SUFFIXES
 
 
@@ -257,7 +257,7 @@ class Executing:
             raise PlacingError(f"the source of camera {camera} cannot be opened again at a host")
         transport = self._transport(RETRIES)
         name = self._streams[camera] = stream_name(camera)
-        settings = StreamSettings(name, origin, bool(to_caller("command", "")))
+        settings = StreamSettings(name, replace(origin, lazy=False), bool(to_caller("command", "")))
         transport.add({name: AgentSpec(CameraStream, settings, 0.0, name)})
         try:
             return HostedSource(camera, origin, transport.ask, transport.close)

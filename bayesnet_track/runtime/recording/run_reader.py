@@ -125,7 +125,7 @@ def _between(
         if index > final:
             return
         if item.cameras is not None:
-            yield index, {camera: frame.image for camera, frame in item.cameras.items()}
+            yield index, {camera: image.image for camera, image in item.cameras.items() if image.is_readable}
         elif item.image.shape[1::-1] == size:
             yield index, {"": item.image}
         else:
@@ -150,9 +150,9 @@ def _stride(directory: RunDirectory) -> int:
 def _source(directory: RunDirectory, header: RunStarted) -> FrameSource:
     """The run's source: as its recipe says, or, of a run without one, as its journal names it."""
     from bayesnet_track.runtime.checkpoints.recipe import Recipe
-    from bayesnet_track.sources.reopen import reopen
     from bayesnet_track.sources.scenes import make_scene
     from bayesnet_track.sources.scenes.library import SceneSource
+    from bayesnet_track.sources.several import reopen
     from bayesnet_track.sources.sources import open_source
 
     if directory.recipe.is_file():
