@@ -228,14 +228,23 @@ def _sampled(event: Deactivated) -> str:
     return f", still evaluated every {event.sample_every} frames" if event.sample_every else ""
 
 
+def _px2(value: float) -> str:
+    """An uncertainty, to three digits at least."""
+    return f"{value:.{decimals(value)}f} px²"
+
+
 def _chosen_among(event: Deactivated) -> str:
     """The reason for this agent and no other: its index against that of the runner-up."""
     index = event.index.get(event.node)
+    rivals = {name: value for name, value in event.index.items() if name != event.node}
     if index is not None and event.drop == "most_expensive_redundant":
-        return f" (most expensive redundant agent: UD {index:.3g} px² without it)"
+        needed = max(rivals, key=lambda name: rivals[name], default=None)
+        more = ""
+        if needed is not None and index < rivals[needed] < math.inf:
+            more = f", {_px2(rivals[needed])} without {needed}"
+        return f" (most expensive redundant agent: UD {_px2(index)} without it{more})"
     if index is not None and event.drop == "most_expensive":
         return f" (most expensive cue: {index:.3g} ms)"
-    rivals = {name: value for name, value in event.index.items() if name != event.node}
     if index is None or not rivals:
         return ""
     largest = event.drop == "largest_kl"
