@@ -274,7 +274,8 @@ CASES = [
     (("--folder", "DATA/one"), "DATA/one: no NAME/groundtruth.txt beside NAME/img"),
     (
         ("--source", "DATA/one/img", "--truth", "DATA/none.txt"),
-        "DATA/none.txt: No such file or directory",
+        "--truth DATA/none.txt: No such file or directory; expected a text file with one box x,y,w,h "
+        "per line",
     ),
     (
         ("--source", "DATA/one/img", "--truth", "DATA/short.txt"),

@@ -125,7 +125,8 @@ def test_boxes_without_a_blob_are_left_out_by_name(work: Scene, capsys: pytest.C
         (
             [*PAIR, "--truth", "none.txt"],
             2,
-            "bayesnet-track learn-stereo: none.txt: No such file or directory\n",
+            "bayesnet-track learn-stereo: --truth none.txt: No such file or directory; expected a "
+            "text file with one box x,y,w,h per line\n",
         ),
         (
             [*PAIR, *TRUTH, "--start", "15"],
