@@ -239,10 +239,10 @@ def _chosen_among(event: Deactivated) -> str:
     rivals = {name: value for name, value in event.index.items() if name != event.node}
     if index is not None and event.drop == "most_expensive_redundant":
         needed = max(rivals, key=lambda name: rivals[name], default=None)
-        more = ""
+        rival = ""
         if needed is not None and index < rivals[needed] < math.inf:
-            more = f", {_px2(rivals[needed])} without {needed}"
-        return f" (most expensive redundant agent: UD {_px2(index)} without it{more})"
+            rival = f", {_px2(rivals[needed])} without {needed}"
+        return f" (most expensive redundant agent: UD {_px2(index)} without it{rival})"
     if index is not None and event.drop == "most_expensive":
         return f" (most expensive cue: {index:.3g} ms)"
     if index is None or not rivals:
