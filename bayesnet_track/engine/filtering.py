@@ -24,7 +24,6 @@ from bayesnet_track.belief.contract import (
     hypotheses_of,
 )
 from bayesnet_track.belief.gaussian.belief import GaussianFilter, GaussianPosterior
-from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.formulas import Undefined, undefined_in
 from bayesnet_track.belief.motion.modes import Modes
 from bayesnet_track.belief.particles.belief import ParticleFilter
@@ -184,7 +183,7 @@ def filter_ready(work: FrameContext, ready: Ready, stepped: Stepped | None = Non
     target, previous, prior, moves = ready.target, ready.before, ready.prior, ready.moves
     compiled, belief, stream, frame = work.plate_of(target), ready.belief, ready.stream, work.frame
     start, dt = work.engine.clock(), frame.time - previous.time
-    motion = confined(moves.motion, frame.width, frame.height, work.inputs)
+    motion = work.confined(moves.motion)
     failed: MutableMapping[str, str] = dict(work.faults.get((target, "observing"), {}))
     while True:
         observer = _observer(work, ready, failed) if stepped is None else stepped[0]
@@ -269,7 +268,7 @@ def _step_each(work: FrameContext, group: Sequence[Ready]) -> dict[str, Stepped]
     observers = [
         _observer(work, ready, dict(work.faults.get((ready.target, "observing"), {}))) for ready in group
     ]
-    motion = confined(first.moves.motion, frame.width, frame.height, work.inputs)
+    motion = work.confined(first.moves.motion)
     see = partial(_evaluate_each, work, group, observers)
     priors = [cast(GaussianPosterior, ready.prior) for ready in group]
     steps = belief.step_each(priors, motion, dt, see, [ready.stream for ready in group])
@@ -341,7 +340,7 @@ def _step_again(
 ) -> Step[Posterior]:
     """The step of the frame by another motion, with random numbers of its own."""
     prior, dt, see, stream = inputs
-    confined_motion = confined(motion, work.frame.width, work.frame.height, work.inputs)
+    confined_motion = work.confined(motion)
     return belief.step(prior, confined_motion, dt, see, lambda purpose: stream(f"{purpose} again"))
 
 

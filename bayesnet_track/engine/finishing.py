@@ -27,8 +27,8 @@ from bayesnet_track.engine.metrics import (
     BeliefSummary,
     Measured,
     find_covariances,
-    find_summaries,
     frame_metrics,
+    summarise,
 )
 from bayesnet_track.engine.modes import with_modes
 from bayesnet_track.engine.rows.advancing import FilteredGaussians
@@ -280,7 +280,8 @@ def finish_targets(
     results = Results(tables, (), objects, partial(_covariances, gaussians, filtered))
     if not objects:
         return results
-    summaries, count = find_summaries(bare, filtered, results.covariances), len(gaussians)
+    summaries = LazyRecords(objects, partial(summarise, bare, filtered, results.covariances))
+    count = len(gaussians)
     finished = [
         FinishedGroup(
             bare,

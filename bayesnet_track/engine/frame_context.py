@@ -8,7 +8,9 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from bayesnet_track.belief.contract import Stream
+from bayesnet_track.belief.contract import MotionModel, Stream
+from bayesnet_track.belief.motion.borders import Confined, confined
+from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.inference.asking import Availability, Fault, TargetAvailability, score
 from bayesnet_track.inference.compile import Plan
@@ -122,6 +124,13 @@ class FrameContext:
         """Values of the names in expressions that are the same for all targets in the frame."""
         return self.cache.frames.names
 
+    def confined(self, motion: MotionModel) -> Confined:
+        """The motion on the image of the frame, with its inputs where they matter."""
+        frame = self.frame
+        if isinstance(motion, KinematicMotion):  # nothing of it depends on the frame
+            return Confined(motion, frame.width, frame.height)
+        return confined(motion, frame.width, frame.height, self.inputs)
+
     def plate_of(self, target: str) -> CompiledPlate:
         """The compiled plate of the target."""
         return self.engine.plates[self.net.targets[target].template]
@@ -141,7 +150,7 @@ class FrameContext:
 
     def births_of(self, targets: Iterable[str]) -> list[str]:
         """The keys of the draws of targets."""
-        return [self.births[target] for target in targets]
+        return [*map(self.births.__getitem__, targets)]
 
     def availability_of(self, target: str, during: str) -> TargetAvailability:
         """The target's agents that give no answer when asked for one thing."""

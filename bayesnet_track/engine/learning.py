@@ -87,7 +87,7 @@ def learn_group(work: FrameContext, group: JudgedGroup) -> LearntGroup:
     """References move toward the estimates; agents that gave none at the start learn theirs."""
     filtered, compiled = group.filtered, group.filtered.compiled
     shares, rates = learning_rates(work, group)
-    is_learning = any(any(values_of_agent) for values_of_agent in rates.values())
+    is_learning = any(map(any, rates.values()))
     fields = filtered.fields
     angles = group.states[:, fields.index(ANGLE)] if ANGLE in fields else None
     news = _meeting(work, group) if compiled.looking and not filtered.keeps_status else ()

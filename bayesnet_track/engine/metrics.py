@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from statistics import NormalDist
 
 import numpy as np
@@ -30,7 +29,7 @@ from bayesnet_track.journal.encoder import encode_clouds
 from bayesnet_track.journal.metrics import FrameMetrics, JoinMetrics, PartMetrics
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.log_weights import effective, kl
-from bayesnet_track.numerics.records import LazyRecords, evolve
+from bayesnet_track.numerics.records import evolve
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,16 +221,10 @@ class BeliefSummary:
     log_predictive: Mapping[str, float] = field(default_factory=dict)
 
 
-def find_summaries(
-    work: FrameContext, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
-) -> LazyRecords[BeliefSummary]:
-    """Target -> its belief in a few numbers, of which `spreads` are the covariances."""
-    return LazyRecords(filtered, partial(_summarise, work, filtered, spreads))
-
-
-def _summarise(
+def summarise(
     work: FrameContext, filtered: Mapping[str, Filtered], spreads: Mapping[str, Floats]
 ) -> dict[str, BeliefSummary]:
+    """Target -> its belief in a few numbers, of which `spreads` are the covariances."""
     stackable, single = _alike(filtered)
     summaries = {target: summarise_one(work, filtered[target], spreads[target]) for target in single}
     for targets in stackable:

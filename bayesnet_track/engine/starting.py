@@ -13,7 +13,6 @@ from bayesnet_track.adapt.rule_inputs import RuleInputs
 from bayesnet_track.adapt.status import next_try, quarantine
 from bayesnet_track.belief.contract import BOX_FIELDS, LEAST_SIDE_M, Posterior
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior
-from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.start_prior import make_start_prior
 from bayesnet_track.belief.particles.particle_set import ParticleSet
 from bayesnet_track.engine.compiled import CompiledPlate
@@ -280,7 +279,7 @@ def _start_belief(
 
     And the boxes at which agents look in other images where it is pointed at.
     """
-    motion = confined(compiled.motion, work.frame.width, work.frame.height, work.inputs)
+    motion = work.confined(compiled.motion)
     stream, views = work.stream_of(birth, compiled.plate.root), compiled.views
     if isinstance(start_place, Mapping):
         pointed = None if views is None else place_points(views, start_place)

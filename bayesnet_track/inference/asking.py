@@ -242,7 +242,7 @@ def follow(
                 return (rows if isinstance(rows, ReferenceRows) else [seal(learnt) for learnt in rows]), {}
         except FAULTS:  # of whom is found out below
             pass
-    updated, faults = list(references), dict[int, Fault]()
+    updated, faults = list[Reference](), dict[int, Fault]()
     for t, reference in enumerate(references):
         try:
             box_and_angle = boxes[t].copy(), 0.0 if angles is None else float(angles[t])
@@ -251,11 +251,11 @@ def follow(
             )
         except FAULTS as error:
             faults[t] = fault_of(error, " while learning")
+            updated.append(reference)
             continue
         if isinstance(checked, str):
             faults[t] = checked
-        else:
-            updated[t] = checked
+        updated.append(reference if isinstance(checked, str) else checked)
     return (ReferenceRows.of(updated) if isinstance(references, ReferenceRows) else updated), faults
 
 

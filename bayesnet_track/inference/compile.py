@@ -101,7 +101,10 @@ class Fusion:
         """
         shares = {c: share for c, share in zip(self.children, self.shares, strict=True) if c in present}
         weights = pool_exponents(shares, self.correlation) if self.kind == "pool" else shares
-        return {**weights, **{factor: 1.0 for factor in self.factors if factor in present}}
+        for factor in self.factors:
+            if factor in present:
+                weights[factor] = 1.0
+        return weights
 
 
 @dataclass(frozen=True, eq=False)

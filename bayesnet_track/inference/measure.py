@@ -52,7 +52,7 @@ def fits_rows(target: CheckedTarget) -> bool:
         and all((target.governor[agent] or target.root) == target.root for agent in target.agents)
         and all(test is None or test.concentrated is None for test in tests)
         and (deactivate is None or deactivate.drop != "most_expensive_redundant")
-        and isinstance(column_index([*state_columns(target, target.root)]), slice)
+        and isinstance(state_index(target, target.root), slice)
     )
 
 
@@ -142,7 +142,7 @@ def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2
     node_messages = np.array([messages[name] for name in names]).reshape(len(names), *steps.prior.shape)
     uds_of_nodes = {**steps.uds}
     for view, log in zip(names[len(agents) :], tilt(steps.prior, node_messages[len(agents) :]), strict=True):
-        boxes = steps.views[view][:, :, column_index([*state_columns(target, view)])]
+        boxes = steps.views[view][:, :, state_index(target, view)]
         uds_of_nodes[view] = uncertainties(boxes, np.exp(log), _peaks(boxes, log))
     uds = {node: np.array(uds_of_nodes[node]) for node in target.order if node in uds_of_nodes}
     find_rest = cache(partial(_find_rest, target, plan, node_messages, steps))
@@ -174,7 +174,7 @@ def _find_rest(target: CheckedTarget, plan: Plan, messages: Floats, steps: StepA
     count, prior, root = len(steps.agents), steps.prior, steps.log
     if not len(messages):
         return ([[]] * len(prior),) * 3
-    logs, columns = tilt(prior, messages), column_index([*state_columns(target, target.root)])
+    logs, columns = tilt(prior, messages), state_index(target, target.root)
     reference_logs = root[None] if is_alone(plan) else logs[:count]
     nats = divergences(
         np.concatenate([[root] * count, logs]), np.concatenate([reference_logs, [prior] * len(logs)])
@@ -197,14 +197,11 @@ def _without_each(plan: Plan, steps: StepArrays) -> Floats:
     shape = steps.prior.shape
     left_out = {*steps.silent, *steps.views}
     seeing = {name: message for name, message in steps.messages.items() if name not in left_out}
-    joined = [
-        join_plain(plan, {name: message for name, message in seeing.items() if name != agent}, shape)
-        for agent in steps.agents
-    ]
-    nothing = np.zeros(shape)
-    return np.array([node_messages.get(plan.root, nothing) for node_messages in joined]).reshape(
-        len(joined), *shape
-    )
+    joined = np.zeros((len(steps.agents), *shape))
+    for place, agent in enumerate(steps.agents):
+        sent = {name: message for name, message in seeing.items() if name != agent}
+        joined[place] = join_plain(plan, sent, shape).get(plan.root, 0.0)
+    return joined
 
 
 def measure(target: CheckedTarget, plan: Plan, step: Step[Posterior], area_px2: float) -> Measures:
@@ -336,18 +333,20 @@ def _rows(arrays: Iterable[Floats], size: int) -> Floats:
     return np.array(list(arrays), dtype=np.float64).reshape(-1, size)
 
 
+@lru_cache(maxsize=256)
 def state_columns(target: CheckedTarget, node: str) -> tuple[int, ...]:
     """The columns of a state over which UD of a node is taken."""
-    return _indices(tuple(target.inference(node).ud_fields))
+    return tuple(BOX_FIELDS.index(name) for name in target.inference(node).ud_fields)
 
 
-@lru_cache(maxsize=64)
-def _indices(fields: tuple[str, ...]) -> tuple[int, ...]:
-    return tuple(BOX_FIELDS.index(name) for name in fields)
+@lru_cache(maxsize=256)
+def state_index(target: CheckedTarget, node: str) -> slice | list[int]:
+    """The index of these columns."""
+    return column_index(state_columns(target, node))
 
 
 def _ud(target: CheckedTarget, node: str, boxes: Floats, log: Floats, centre: Floats) -> float:
-    columns = column_index(state_columns(target, node))
+    columns = state_index(target, node)
     return uncertainty_deviation(boxes[:, columns], np.exp(log), centre[columns])
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,7 @@ class Streams:
         True
         """
 
-        keys = self.keys(((owner, node) for owner in owners), moment, purpose)
+        keys = self.keys(zip(owners, repeat(node), strict=False), moment, purpose)
         starts = np.arange(len(keys) + 1) if counts is None else np.cumsum([0, *counts])
         return uniforms_of_each(keys, starts)
 

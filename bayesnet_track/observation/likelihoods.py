@@ -58,18 +58,16 @@ class ReferenceRows(Sequence[Reference]):
         """
         if isinstance(references, ReferenceRows) or not references or not references[0]:
             return references
-        first = references[0]
-        kinds = {name: _kind(values) for name, values in first.items()}
-        for reference in references:
-            if reference.keys() != kinds.keys() or any(
-                kind is None or _kind(reference[name]) != kind for name, kind in kinds.items()
-            ):
+        first, columns = references[0], dict[str, NDArray[Any]]()
+        for reference in references[1:]:
+            if reference.keys() != first.keys():
                 return references
-        if len(references) == 1:
-            return ReferenceRows({name: _row(values) for name, values in first.items()})
-        return ReferenceRows(
-            {name: np.array([reference[name] for reference in references]) for name in first}
-        )
+        for name in first:
+            stacked = _stack([reference[name] for reference in references])
+            if stacked is None:
+                return references
+            columns[name] = stacked
+        return ReferenceRows(columns)
 
     @overload
     def __getitem__(self, index: int) -> Reference: ...
@@ -130,9 +128,15 @@ class ReferenceRows(Sequence[Reference]):
         return ReferenceRows(columns)
 
 
-def _kind(values: Any) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
-    """Shape and type of an array; None of anything else, which a row would change."""
-    return (values.shape, values.dtype) if type(values) is np.ndarray and values.dtype != object else None
+def _stack(arrays: Sequence[Any]) -> NDArray[Any] | None:
+    """Arrays of the same shape and type as one; None of anything else, which a row would change."""
+    first = arrays[0]
+    for array in arrays:
+        if type(array) is not np.ndarray or array.dtype == object:
+            return None
+        if array.shape != first.shape or array.dtype != first.dtype:
+            return None
+    return _row(first) if len(arrays) == 1 else np.array(arrays)
 
 
 def _row(values: NDArray[Any]) -> NDArray[Any]:

@@ -11,7 +11,7 @@ from bayesnet_track.belief.particles.belief import find_map_states, map_index
 from bayesnet_track.engine.filtering import filter_target
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.lines import Lines
-from bayesnet_track.engine.metrics import find_covariances, find_summaries, summarise_one
+from bayesnet_track.engine.metrics import find_covariances, summarise, summarise_one
 from bayesnet_track.engine.step import State, make_engine, start_target
 from bayesnet_track.inference.measure import StepArrays, is_flat, measure, measure_rows
 from bayesnet_track.observation.planes import Frame, FramePair, PlaneCache
@@ -88,7 +88,7 @@ def test_targets_measured_together_are_measured_as_alone(motion, agents):
     for row, (step, area) in enumerate(zip(steps, (1.0, 2.0, 3.0), strict=True)):
         assert_close(vars(together.of(row)), vars(measure(plate, plan, step, area)))
     spreads = find_covariances(found)
-    for target, one in find_summaries(work, found, spreads).items():
+    for target, one in summarise(work, found, spreads).items():
         step = found[target].step
         alone = summarise_one(work, found[target], step.posterior.covariance)
         assert one.variances.tobytes() == alone.variances.tobytes()

@@ -176,6 +176,16 @@ class KinematicMotion:
             return np.flatnonzero([x, y, w, h])
         return np.flatnonzero([True, True, w, h] + [True] * (2 * self.order - 2))
 
+    @cached_property
+    def has_box_noise(self) -> bool:
+        """True if the box has noise on top of the kinematics."""
+        return any(noisy(self.noise))
+
+    @cached_property
+    def draws_twice(self) -> bool:
+        """True if a target's numbers are drawn in two turns, for the velocities and for the box."""
+        return self.diffusion != 0 and self.has_box_noise
+
     @property
     def order(self) -> int:
         """n, the length of an axis' chain."""
@@ -391,13 +401,13 @@ def propagate_rows(
 ) -> Floats:
     """(T, N, D) states after `dt` frame intervals of the (T, N) `parents` among the states (T, K, D) of each.
 
-    As `motion.propagate(states[t], dt, streams[t], parents[t])` for every target t. Where `draws_twice` holds
+    As `motion.propagate(states[t], dt, streams[t], parents[t])` for every target t. Where it `draws_twice`
     each stream is an object of its own, else the next may take the last one's place.
     """
     from bayesnet_track.numerics.kernels.box_kernels import driven
 
     count, size, width = states.shape
-    if draws_twice(motion):
+    if motion.draws_twice:
         streams = list(streams)
     flat_parents = (parents + size * np.arange(count)[:, None]).ravel()
     flat = states.reshape(-1, width)
@@ -410,15 +420,10 @@ def propagate_rows(
         rows = step_rows(motion.dynamics, motion.diffusion, dt)
         propagated = driven(flat, flat_parents, *rows, normals.reshape(-1, 2 * motion.order))
     propagated = propagated.reshape(count, -1, width)
-    if any(noisy(motion.noise)):
+    if motion.has_box_noise:
         for target, stream in zip(propagated, streams, strict=True):
             add_noise(motion.noise, target[:, :4], stream, dt, motion.least_side)
     return propagated
-
-
-def draws_twice(motion: KinematicMotion) -> bool:
-    """True if a target's numbers are drawn in two turns, for the velocities and for the box."""
-    return motion.diffusion != 0 and any(noisy(motion.noise))
 
 
 def is_same_everywhere(noise: Noise) -> bool:

@@ -18,7 +18,6 @@ from bayesnet_track.adapt.association import UNASSIGNED, first_observed, remembe
 from bayesnet_track.adapt.existence import DetectionModel, UnconfirmedTracks
 from bayesnet_track.adapt.lifecycle import TrackHistory
 from bayesnet_track.belief.gaussian.expected import ExpectedInModes, expect
-from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.belief.motion.modes import moments_of
 from bayesnet_track.engine.cameras import Watched, errors_at
 from bayesnet_track.engine.compiled import CompiledPlate
@@ -400,10 +399,10 @@ class Several:
 
     def _in_modes(self, elapsed: float) -> dict[int, ExpectedInModes]:
         """Row -> the target as it is expected, a Gaussian for each mode, of targets that have modes."""
-        compiled, frame = self.compiled, self.work.frame
+        compiled = self.compiled
         if compiled.modes is None:
             return {}
-        motion = confined(compiled.motion, frame.width, frame.height, self.work.inputs)
+        motion = self.work.confined(compiled.motion)
         settings = getattr(compiled.belief, "settings", None)
         gaussian = settings if isinstance(settings, Gaussian) else Gaussian(filter="extended")
         beliefs = enumerate((state.belief for state in self.others.values()), self.count)

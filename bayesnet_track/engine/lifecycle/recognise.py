@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesnet_track.adapt.lifecycle import AppearanceMemory
-from bayesnet_track.belief.motion.borders import Confined, confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.models import KinematicMotion, linear_moves
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
@@ -246,7 +246,7 @@ def compare_remembered(
 ) -> Compared:
     """Remembered targets against detections (M, 4); `objects` (K, 4) are boxes of objects in this frame."""
     compiled, frame = work.engine.plates[plate], work.frame
-    motion = confined(compiled.moments, frame.width, frame.height, work.inputs)
+    motion = work.confined(compiled.moments)
     area = float(frame.width * frame.height)
     fading, place, distance = weigh_places(memories, motion, boxes, frame.time, area, rule)
     appearance, agents = np.zeros(place.shape), list[tuple[str, ...]]([()] * len(memories))

@@ -23,7 +23,7 @@ from bayesnet_track.adapt.association import (
 from bayesnet_track.adapt.lifecycle import Candidate, look_again
 from bayesnet_track.belief.contract import MotionModel
 from bayesnet_track.belief.gaussian.belief import predict
-from bayesnet_track.belief.motion.borders import Confined, confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.frame_context import FrameContext
 from bayesnet_track.engine.rows.fitting import RowRule, row_rule
@@ -62,7 +62,7 @@ def predictor(work: FrameContext, compiled: CompiledPlate) -> Predict:
     elapsed = 1.0 if previous is None else frame.time - previous.time
     rule = row_rule(work.engine, compiled.plate.name)
     if rule is None:
-        motion = confined(compiled.moments, frame.width, frame.height, work.inputs)
+        motion = work.confined(compiled.moments)
         return Predict(elapsed, partial(_predict_each, motion))
     return Predict(elapsed, partial(_predict_rows, rule, image_of(rule, frame.width, frame.height)))
 

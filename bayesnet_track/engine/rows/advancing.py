@@ -17,7 +17,6 @@ from bayesnet_track.belief.contract import BOX_FIELDS
 from bayesnet_track.belief.gaussian.belief import GaussianPosterior, draw_boxes, report_gated
 from bayesnet_track.belief.gaussian.rows import stand_for_each
 from bayesnet_track.belief.gaussian.update import gated_of
-from bayesnet_track.belief.motion.borders import confined
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
@@ -365,7 +364,7 @@ def _draw(work: FrameContext, rows: Rows, moments: tuple[Floats, Floats]) -> Flo
     settings = rule.belief.settings
     if settings.likelihood == "sigma_points":
         return np.empty((count, 0, 4))
-    motion = confined(rule.motion, work.frame.width, work.frame.height)
+    motion = work.confined(rule.motion)
     draws = work.engine.streams.of_each(work.births_of(rows.ids), rule.root, work.moment, "samples")
     supports = stand_for_each([*zip(*moments, strict=True)], motion, settings, draws)
     return np.array([support.states[:, :4] for support in supports]).reshape(count, -1, 4)

@@ -32,13 +32,13 @@ from bayesnet_track.inference.measure import (
     is_flat,
     measure,
     measure_rows,
-    state_columns,
+    state_index,
 )
 from bayesnet_track.journal.events.event import Event
 from bayesnet_track.journal.metrics import JoinMetrics
 from bayesnet_track.journal.target_net import TargetNet
 from bayesnet_track.numerics.arrays import Bools, Floats, Ints
-from bayesnet_track.numerics.log_weights import LogWeights, column_index, effective, uncertainties
+from bayesnet_track.numerics.log_weights import LogWeights, effective, uncertainties
 from bayesnet_track.observation.cue import Hypotheses, Reference
 
 
@@ -50,11 +50,13 @@ class FilteredRows(Mapping[str, Filtered]):
         work: the frame.
         before: what was known of them.
         clouds: their beliefs.
+        prior: the weights of each target's hypotheses before the evidence.
         messages: agent -> (T, N) log-likelihoods.
         own: (T, N) log-likelihoods of the net.
         said: (T, N) those that the weights come from: `own`, or those of a joint belief.
         log_evidence: (T,).
         motion: how all of them moved.
+        dt: the time since the last frame, frame intervals.
         joins: target -> what a joint belief says of it.
         parents: (T, N) hypotheses of the belief before that these come from.
         moves: target -> its motion in this frame, where that depends on more than its states.
@@ -63,11 +65,13 @@ class FilteredRows(Mapping[str, Filtered]):
     work: FrameContext
     before: ParticleTable
     clouds: Clouds
+    prior: LogWeights
     messages: Mapping[str, Floats]
     own: Floats
     said: Floats
     log_evidence: Floats
     motion: MotionModel
+    dt: float
     joins: Mapping[str, JoinMetrics] = field(default_factory=dict)
     parents: Ints | None = None
     moves: Mapping[str, PredictedMotion] = field(default_factory=dict)
@@ -127,16 +131,6 @@ class FilteredRows(Mapping[str, Filtered]):
             return self.best
         return np.array([estimate(rule, self[target].step) for target in self.ids])
 
-    @property
-    def dt(self) -> float:
-        """The time since the last frame, frame intervals."""
-        return self.work.frame.time - self.before.time
-
-    @property
-    def prior(self) -> LogWeights:
-        """The weights of each target's hypotheses before the evidence."""
-        return LogWeights.uniform(self.clouds.log.shape[1])
-
     @cached_property
     def boxes(self) -> Floats:
         """(T, N, 4) hypotheses of centre boxes, px, in C order."""
@@ -188,8 +182,8 @@ class FilteredRows(Mapping[str, Filtered]):
     @property
     def arrays(self) -> StepArrays:
         """Inputs of measures."""
-        log, columns = self.clouds.log, state_columns(self.before.compiled.plate, self.plan.root)
-        picks, prior = column_index(columns), np.tile(self.prior.log, (len(log), 1))
+        log, picks = self.clouds.log, state_index(self.before.compiled.plate, self.plan.root)
+        prior = np.tile(self.prior.log, (len(log), 1))
         uds = uncertainties(self.clouds.states[:, :, picks], self.clouds.weights, self.best[:, picks])
         agents = [observation.agent for observation in self.plan.observations]
         return StepArrays(agents, (), self.messages, prior, log, self.boxes, {self.plan.root: uds})
@@ -197,8 +191,9 @@ class FilteredRows(Mapping[str, Filtered]):
     @property
     def existence(self) -> Floats | None:
         """(T,) probabilities that they exist; None where the plate has no `existence`."""
-        values = [state.existence for state in self.before.base]
-        return None if values[0] is None else np.array(values)
+        if self.before.base[0].existence is None:
+            return None
+        return np.array([state.existence for state in self.before.base])
 
     @property
     def moments(self) -> tuple[Floats, Floats]:
@@ -235,12 +230,11 @@ class FilteredRows(Mapping[str, Filtered]):
         nets: Mapping[str, TargetNet],
     ) -> ParticleTable | None:
         """The table of the targets about which nothing was decided; None without any."""
-        decided_rows = self.apart(decided)
-        rows = [row for row in range(len(self)) if row not in decided_rows]
-        if not rows:
+        apart = self.apart(decided)
+        if len(apart) == len(self):
             return None
         table = self.before.then(time, self.clouds, references, memory, nets)
-        return table.take(rows) if decided_rows else table
+        return table.take([row for row in range(len(self)) if row not in apart]) if apart else table
 
     def reports(self, frame: int) -> Mapping[int, tuple[Event, ...]]:
         """Nothing is left out of an update."""
@@ -265,8 +259,8 @@ class FilteredRows(Mapping[str, Filtered]):
         if not names:
             return replace(self, joins=joined, _made={})
         rows = np.array([self.before.index[target] for target in names])
-        likelihoods, size = np.array([messages[target] for target in names]), self.said.shape[1]
-        log, total = weigh(LogWeights.uniform(size).log, likelihoods)
+        likelihoods = np.array([messages[target] for target in names])
+        log, total = weigh(self.prior.log, likelihoods)
         usable = np.isfinite(total)
         rows, log, total, likelihoods = rows[usable], log[usable], total[usable], likelihoods[usable]
         all_said, all_log, weights = self.said.copy(), self.clouds.log.copy(), self.clouds.weights.copy()

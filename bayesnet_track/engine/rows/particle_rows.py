@@ -14,9 +14,9 @@ import numpy as np
 
 from bayesnet_track.adapt.status import on_call_rule
 from bayesnet_track.belief.contract import hypotheses_of
-from bayesnet_track.belief.motion.borders import Confined, confined
+from bayesnet_track.belief.motion.borders import Confined
 from bayesnet_track.belief.motion.composed import kinematics_of
-from bayesnet_track.belief.motion.models import KinematicMotion, draws_twice, propagate_rows
+from bayesnet_track.belief.motion.models import KinematicMotion, propagate_rows
 from bayesnet_track.belief.particles.belief import ParticleFilter
 from bayesnet_track.belief.particles.particle_set import Clouds
 from bayesnet_track.engine.attachment import particles
@@ -147,8 +147,8 @@ def _filter(work: FrameContext, table: ParticleTable, moves: Mapping[str, Predic
     """The targets of a table, but for those with weights that say nothing, a failed agent, or a search."""
     start, compiled, plan = work.engine.clock(), table.compiled, table.plan
     free = moves[table.ids[0]].motion if moves else compiled.motion
-    motion = confined(free, work.frame.width, work.frame.height, work.inputs)
-    states, parents = _move(work, table, motion)
+    motion, dt = work.confined(free), work.frame.time - table.time
+    states, parents = _move(work, table, motion, dt)
     count, size, fields = states.shape
     hypotheses = hypotheses_of(states.reshape(-1, fields), compiled.motion.fields)
     answers, failed = ask_together(
@@ -157,10 +157,22 @@ def _filter(work: FrameContext, table: ParticleTable, moves: Mapping[str, Predic
     messages = {agent: answer.reshape(count, size) for agent, answer in answers.items()}
     messages = join_plain(plan, messages, states.shape[:2])
     total = messages.pop(plan.root)
-    log, log_evidence = weigh(LogWeights.uniform(size).log, total)
+    prior = LogWeights.uniform(size)
+    log, log_evidence = weigh(prior.log, total)
     clouds = Clouds(states, compiled.motion.fields, log, np.exp(log))
     filtered = FilteredRows(
-        work, table, clouds, messages, total, total, log_evidence, motion, parents=parents, moves=moves
+        work,
+        table,
+        clouds,
+        prior,
+        messages,
+        total,
+        total,
+        log_evidence,
+        motion,
+        dt,
+        parents=parents,
+        moves=moves,
     )
     work.charge("belief", start)
     is_usable = np.isfinite(log_evidence)
@@ -175,13 +187,15 @@ def _filter(work: FrameContext, table: ParticleTable, moves: Mapping[str, Predic
     return filtered if is_usable.all() else filtered.take(np.flatnonzero(is_usable).tolist())
 
 
-def _move(work: FrameContext, table: ParticleTable, motion: Confined) -> tuple[Floats, Ints]:
+def _move(work: FrameContext, table: ParticleTable, motion: Confined, dt: float) -> tuple[Floats, Ints]:
     """(T, N, D) hypotheses of the frame, and (T, N) those of the frame before that they come from."""
     from bayesnet_track.numerics.resampling import look_up_even_of_each
 
-    compiled, frame, root = table.compiled, work.frame, table.compiled.plate.root
-    belief = within(compiled.belief, work.net.targets[table.ids[0]].most_particles)
-    streams, free, dt = work.engine.streams, motion.motion, frame.time - table.time
+    root, belief = table.plan.root, table.compiled.belief
+    limit = work.net.targets[table.ids[0]].most_particles
+    if limit is not None:
+        belief = within(belief, limit)
+    streams, free = work.engine.streams, motion.motion
     assert isinstance(belief, ParticleFilter)
     size = belief.settings.size
     assert isinstance(size, int)  # else the plate does not fit
@@ -189,7 +203,7 @@ def _move(work: FrameContext, table: ParticleTable, motion: Confined) -> tuple[F
     shifts = streams.uniforms(births, root, moment, "resample")
     parents = look_up_even_of_each(table.clouds.weights, shifts, size)
     draws: Iterable[np.random.Generator] = streams.of_each(births, root, moment, "propagate")
-    if not isinstance(free, KinematicMotion) or draws_twice(free):
+    if not isinstance(free, KinematicMotion) or free.draws_twice:
         draws = [streams.of(birth, root, moment, "propagate") for birth in births]
     if not isinstance(free, KinematicMotion):
         each = zip(table.clouds.states, draws, parents, strict=True)
