@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -80,11 +81,11 @@ class ColorHistogram:
     parameters: ColorHistogramParameters
     context: ClassVar[float] = 0.5  # boxes half a box away
 
-    @property
+    @cached_property
     def _plane(self) -> HueBins:
         return HueBins(self.parameters.bins, self.parameters.min_chroma)
 
-    @property
+    @cached_property
     def needs(self) -> tuple[Plane, ...]:
         """Hue in bins."""
         return (self._plane,)

@@ -8,6 +8,7 @@ is better to compare each vector, so that a box scores the share of it that move
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
@@ -128,7 +129,7 @@ class MotionCue:
     camera: motion_planes.CameraPlane | None
     context: ClassVar[float] = 0.0
 
-    @property
+    @cached_property
     def needs(self) -> tuple[Plane, ...]:
         """The flow plane, and that of the camera's motion."""
         return (self.flow,) if self.camera is None else (self.flow, self.camera)

@@ -57,11 +57,6 @@ class Load:
     back: int | None = None
     frames: int = 0
 
-    @property
-    def counts(self) -> bool:
-        """True where something is remembered whose age matters."""
-        return bool(self.late) or self.back is not None
-
 
 @dataclass(frozen=True, eq=False)
 class Running:

@@ -151,8 +151,8 @@ class FinishedGroup(Generic[Table]):
 
     def decisions(self, row: int) -> tuple[Decision, ...]:
         """Decisions about one target, in order; they take effect on the next frame."""
-        filtered, beside = self.judged.filtered.beside(row), self.learnt.beside.get(row)
-        faults = () if filtered is None else filtered.faults
+        filtered, beside = self.judged.filtered.beside, self.learnt.beside.get(row)
+        faults = () if filtered is None else filtered[row].faults
         by_hand = self.work.by_hand.get(self.ids[row], ())
         return (*faults, *by_hand, *(() if beside is None else beside.decisions))
 
@@ -193,8 +193,9 @@ class FinishedGroup(Generic[Table]):
         )
         learnt = self.learnt.rates[row], self.learnt.angle(row)
         line = frame_metrics(self.work, self.ids[row], measured, judged.baselines_px2[row], learnt, summary)
-        beside = self.filtered.beside(row)
-        return with_modes(line, None if beside is None else beside.modes, outcome.score is not None)
+        beside = self.filtered.beside
+        modes = None if beside is None else beside[row].modes
+        return with_modes(line, modes, outcome.score is not None)
 
     def columns(self) -> Mapping[str, NDArray[Any]] | None:
         """The columns of their lines without hypotheses; None where lines have to be made."""

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayesnet_track.adapt.memory import RuleMemory
-from bayesnet_track.adapt.rule_columns import STATUSES
 from bayesnet_track.adapt.rule_inputs import GroupMeasures
 from bayesnet_track.belief.contract import Step, estimate
 from bayesnet_track.belief.particles.particle_set import ParticleSet
@@ -119,8 +118,13 @@ class FilteredGroup(Protocol[Table]):
     def is_unasked(self) -> Bools | None:
         """(T,) whether all active agents wait for detections and nobody looked; None where somebody did."""
 
-    def statuses(self, nets: Sequence[TargetNet]) -> Ints:
-        """(T,) places in `adapt.rule_columns.STATUSES`."""
+    @property
+    def statuses(self) -> Ints | None:
+        """(T,) places in `adapt.rule_columns.STATUSES`; None where the live nets say."""
+
+    @property
+    def beside(self) -> Sequence[Filtered] | None:
+        """The first half of the frame of each, where it says more than the columns."""
 
     def asks(self, nets: Sequence[TargetNet]) -> Bools | None:
         """(T,) whether something else than a streak asks for a decision; None where nothing does."""
@@ -137,9 +141,6 @@ class FilteredGroup(Protocol[Table]):
 
     def heard(self, row: int) -> AgentMessages:
         """Answers of the agents of one target."""
-
-    def beside(self, row: int) -> Filtered | None:
-        """The same where it says more than the columns."""
 
     def state(self, row: int) -> TargetState:
         """The state of one target before the frame; its belief, references and memory may be elsewhere."""
@@ -178,11 +179,6 @@ class FilteredGroup(Protocol[Table]):
         """
 
 
-def statuses_of(nets: Sequence[TargetNet]) -> Ints:
-    """(T,) places in `adapt.rule_columns.STATUSES`."""
-    return np.array([STATUSES.index(net.status) for net in nets])
-
-
 @dataclass(frozen=True, eq=False)
 class FilteredEach:
     """Targets that were filtered one by one.
@@ -196,6 +192,8 @@ class FilteredEach:
     targets: Sequence[Filtered]
     keeps_status = False
     holds_frame = True
+    statuses = None
+    """The live nets say."""
 
     @property
     def ids(self) -> Sequence[str]:
@@ -265,10 +263,6 @@ class FilteredEach:
         )
         return unasked if unasked.any() else None
 
-    def statuses(self, nets: Sequence[TargetNet]) -> Ints:
-        """(T,) places in `adapt.rule_columns.STATUSES`."""
-        return statuses_of(nets)
-
     def asks(self, nets: Sequence[TargetNet]) -> Bools | None:
         """(T,) whether something else than a streak asks for a decision; None where nothing does."""
         asks = [
@@ -296,9 +290,10 @@ class FilteredEach:
         target = self.targets[row]
         return AgentMessages.of(target.step, target.plan.active)
 
-    def beside(self, row: int) -> Filtered | None:
+    @property
+    def beside(self) -> Sequence[Filtered]:
         """The same: it may say more than the columns."""
-        return self.targets[row]
+        return self.targets
 
     def state(self, row: int) -> TargetState:
         """The state of one target before the frame."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesnet_track.adapt.memory import RuleMemory
 from bayesnet_track.adapt.presence import SHIFT
-from bayesnet_track.adapt.rule_columns import RuleColumns
+from bayesnet_track.adapt.rule_columns import STATUSES, RuleColumns
 from bayesnet_track.adapt.rule_inputs import GroupMeasures, RuleInputs
 from bayesnet_track.adapt.rules import decide
 from bayesnet_track.engine.compiled import CompiledPlate
@@ -116,11 +116,13 @@ def rule_columns(
 ) -> RuleColumns:
     """The inputs of the rules as columns."""
     filtered, nets = group.filtered, group.nets
-    compiled, hidden = filtered.compiled, filtered.hidden
+    compiled, hidden, statuses = filtered.compiled, filtered.hidden, filtered.statuses
+    if statuses is None:
+        statuses = np.array([STATUSES.index(net.status) for net in nets])
     return RuleColumns(
         plate=compiled.plate,
         active=nets[0].active if nets else filtered.plan.active,
-        statuses=filtered.statuses(nets),
+        statuses=statuses,
         measures=measures,
         see=see,
         adaptable=compiled.adaptable,
@@ -150,7 +152,8 @@ def _see(
 ) -> RuleInputs:
     """All that the rules of one target see; `frame` is its number and stride: it is not to be held."""
     filtered, compiled, (index, stride) = group.filtered, group.filtered.compiled, frame
-    target, existence = filtered.beside(row), _existence(filtered)
+    target = None if filtered.beside is None else filtered.beside[row]
+    existence = _existence(filtered)
     return RuleInputs(
         index,
         filtered.ids[row],

@@ -37,9 +37,8 @@ from bayesnet_track.journal.events.switches import LocallyAdapted
 from bayesnet_track.journal.net import Decision
 from bayesnet_track.numerics.arrays import Floats, Ints
 from bayesnet_track.numerics.records import evolve
-from bayesnet_track.observation.cue import ANGLE, FAULTS, AnyCue, Reference, context_of, over_frames
+from bayesnet_track.observation.cue import ANGLE, FAULTS, Reference, context_of, over_frames
 from bayesnet_track.observation.likelihoods import ReferenceRows
-from bayesnet_track.observation.planes import Planes
 
 References = Mapping[str, Sequence[Reference]]
 """Agent -> its reference of each target."""
@@ -150,7 +149,7 @@ def learning_rates(work: FrameContext, group: JudgedGroup) -> tuple[list[float],
     shows what hides it.
     """
     filtered, compiled, measures = group.filtered, group.filtered.compiled, group.measures
-    plate, count = compiled.plate, len(group.nets)
+    plate, count, all_beside = compiled.plate, len(group.nets), filtered.beside
     rule = plate.inference(plate.root).learn
     if rule is None:
         return [0.0] * count, {}
@@ -163,7 +162,8 @@ def learning_rates(work: FrameContext, group: JudgedGroup) -> tuple[list[float],
         strict=True,
     )
     for row, (ud_px2, area_px2, baseline_px2, hidden) in enumerate(columns):
-        beside, visible = filtered.beside(row), max(1.0 - 2.0 * hidden, 0.0)
+        beside = None if all_beside is None else all_beside[row]
+        visible = max(1.0 - 2.0 * hidden, 0.0)
         share, of_parts = learning_rate(rule, ud_px2, area_px2, baseline_px2) * visible, dict[str, float]()
         if measures.part_areas:
             of_parts = _part_rates(group, row, rule, visible)
@@ -208,7 +208,7 @@ def _rhythm(
     live = work.net.targets[group.filtered.ids[row]]
     interval = _frames_between(rule, live.sampled)
     if beside is None or beside.call is None or live.turn is None:
-        return interval, work.frame.ordinal % interval > 0
+        return interval, interval > 1 and work.frame.ordinal % interval > 0
     return live.turn.since(work.frame.index, work.frame.stride), not beside.call.ran
 
 
@@ -298,7 +298,8 @@ def _follow(
         assert cache is not None  # else its rows were left out
         work = evolve(work, cache=cache)
     try:
-        planes = _planes(work, cue, boxes)
+        starts, share = np.arange(len(boxes) + 1), hasattr(cue, "follow_each")
+        planes = planes_of_each(work, cue.needs, boxes, starts, context_of(cue), share)
     except FAULTS as error:
         if len(rows) == 1:
             return references, {int(rows[0]): fault_of(error, " while learning")}
@@ -313,11 +314,6 @@ def _follow(
     turned = None if angles is None else angles[rows]
     learnt, failed = follow(cue, planes, boxes, references, rates, turned)
     return learnt, {int(rows[t]): fault for t, fault in failed.items()}
-
-
-def _planes(work: FrameContext, cue: AnyCue, boxes: Floats) -> list[Planes]:
-    starts, share = np.arange(len(boxes) + 1), hasattr(cue, "follow_each")
-    return planes_of_each(work, cue.needs, boxes, starts, context_of(cue), share)
 
 
 def _replaced(

@@ -124,7 +124,7 @@ class Lines(Sequence[FrameMetrics]):
     @cached_property
     def places(self) -> FrameBoxes:
         """Boxes and statuses of the targets; makes no lines."""
-        groups = self._groups
+        groups, ids = self._groups, self.ids
         born = self.born if self._made is None else self._made
         parts = (
             []
@@ -145,11 +145,11 @@ class Lines(Sequence[FrameMetrics]):
                 np.concatenate([part.boxes for part in parts]),
                 np.concatenate([part.is_lost for part in parts]),
             )
-        if places.ids is self._order or tuple(places.ids) == tuple(self.ids):
+        if places.ids is ids or tuple(places.ids) == tuple(ids):
             return places
         index = dict(zip(places.ids, range(len(places.ids)), strict=True))
-        rows = [index[target] for target in self.ids]
-        return FrameBoxes(self.ids, places.boxes[rows], places.is_lost[rows])
+        rows = [index[target] for target in ids]
+        return FrameBoxes(ids, places.boxes[rows], places.is_lost[rows])
 
     def boxes_of(self, targets: Sequence[str]) -> Floats:
         """(K, 4) centre boxes of some targets, px."""

@@ -161,7 +161,7 @@ def with_load(work: FrameContext, outcome: Outcome, timing: Iterable[LateFrame |
     """The outcome after what is shed or taken back, where a frame was late or early."""
     timing, state, engine = tuple(timing), outcome.state, work.engine
     if not timing:
-        if not state.load.counts:
+        if not state.load.late and state.load.back is None:  # nothing is remembered whose age matters
             return outcome
         _, load = balance(work.frame.index, (), {}, state.load)
         return evolve(outcome, state=evolve(state, load=load))

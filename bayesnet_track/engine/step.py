@@ -283,7 +283,10 @@ def finish(batch: Batch) -> Batch:
     """Every target is measured, judged by the rules, learnt from and described."""
     filtered, gaussians = batch.joint.filtered, batch.gaussians
     results = finish_targets(batch.work, filtered, gaussians) if gaussians or filtered else Results()
-    return _with_outcome(batch, carry_out(batch.work, batch.state, results, batch.joint))
+    outcome = carry_out(batch.work, batch.state, results, batch.joint)
+    if batch.early:
+        outcome = evolve(outcome, events=(*batch.early, *outcome.events))
+    return evolve(batch, outcome=outcome)
 
 
 def start_and_end(batch: Batch) -> Batch:
@@ -311,12 +314,6 @@ def ask(batch: Batch) -> Batch:
 def shed_load(batch: Batch) -> Batch:
     """Work is shed or taken back, where a run has a time budget."""
     return evolve(batch, outcome=with_load(batch.work, batch.outcome, batch.inputs.timing))
-
-
-def _with_outcome(batch: Batch, outcome: Outcome) -> Batch:
-    if batch.early:
-        outcome = evolve(outcome, events=(*batch.early, *outcome.events))
-    return evolve(batch, outcome=outcome)
 
 
 def start_target(

@@ -198,16 +198,17 @@ def score(
     Those of target t are `starts[t]` to `starts[t + 1] - 1`. The cue is given copies that it may write into.
     """
     copies = hypotheses.copied()
+    size = len(copies)
     if len(references) > 1 and hasattr(cue, "log_likelihood_of_each"):
         try:
             values = real_numbers(cue.log_likelihood_of_each(planes, copies, starts, _shown(references)))
         except FAULTS:  # of whom is found out below
             values = ""
-        if not isinstance(values, str) and values.shape == (len(copies),) and _is_usual(values):
+        if not isinstance(values, str) and values.shape == (size,) and _is_usual(values):
             return values, {}
         copies = hypotheses.copied()
     firsts, faults = starts.tolist(), dict[int, Fault]()
-    values = np.zeros(len(copies))
+    values = np.zeros(size)
     for t, reference in enumerate(references):
         its = copies if len(references) == 1 else copies.part(firsts[t], firsts[t + 1])
         try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self, TypeVar
 
 import numpy as np
@@ -85,7 +86,7 @@ class Resizing:
         size = (header.width, header.height)
         return cls(size, (header.tracked[0], header.tracked[1]) if header.tracked else size)
 
-    @property
+    @cached_property
     def is_none(self) -> bool:
         """True if frames stay as they are."""
         return self.source == self.tracked

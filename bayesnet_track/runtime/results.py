@@ -53,9 +53,8 @@ class FrameKind:
         """The kind of a frame."""
         if isinstance(frame, DecodedFrame):  # its pixels need not have been made
             return cls(frame.width, frame.height, frame.has_color, 3, "uint8")
-        image = frame.image
-        channels = image.shape[2] if image.ndim == 3 else 1
-        return cls(frame.width, frame.height, frame.has_color, channels, image.dtype.name)
+        height, width, *channels = frame.image.shape
+        return cls(width, height, frame.has_color, channels[0] if channels else 1, frame.image.dtype.name)
 
     @property
     def of_either_color(self) -> Self:

@@ -29,7 +29,6 @@ from bayesnet_track.belief.motion.noise import (
 )
 from bayesnet_track.belief.motion.start_prior import StartPrior
 from bayesnet_track.graph import spec
-from bayesnet_track.graph.spec import Noise
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.observation.planes import read_only
 
@@ -182,6 +181,11 @@ class KinematicMotion:
         return any(noisy(self.noise))
 
     @cached_property
+    def is_same_everywhere(self) -> bool:
+        """True if variances of the noise do not depend on the box."""
+        return self.noise.sd_box.x == 0 and self.noise.sd_box.y == 0 and not is_log(self.noise)
+
+    @cached_property
     def draws_twice(self) -> bool:
         """True if a target's numbers are drawn in two turns, for the velocities and for the box."""
         return self.diffusion != 0 and self.has_box_noise
@@ -266,7 +270,7 @@ class KinematicMotion:
         mean = self.drift(previous, dt)
         chain = None if self.diffusion == 0 else unmixing(self.dynamics, self.diffusion, dt)
         keep = self.noisy_columns
-        same = _same_sds(self, dt) if is_same_everywhere(self.noise) else None
+        same = _same_sds(self, dt) if self.is_same_everywhere else None
         if same is None:
             sds = _sds(self, previous[:, :4], dt)
         else:
@@ -424,8 +428,3 @@ def propagate_rows(
         for target, stream in zip(propagated, streams, strict=True):
             add_noise(motion.noise, target[:, :4], stream, dt, motion.least_side)
     return propagated
-
-
-def is_same_everywhere(noise: Noise) -> bool:
-    """True when its variances do not depend on the box."""
-    return noise.sd_box.x == 0 and noise.sd_box.y == 0 and not is_log(noise)

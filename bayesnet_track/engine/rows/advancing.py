@@ -59,6 +59,8 @@ class FilteredGaussians:
     holds_frame = False
     is_hidden = None
     """No modes say whether a target can be seen."""
+    beside = None
+    """Nothing beside the columns is known of a target."""
 
     @property
     def ids(self) -> Sequence[str]:
@@ -115,7 +117,8 @@ class FilteredGaussians:
         """The live nets of the targets."""
         return [*map(live.__getitem__, self.before.ids)]
 
-    def statuses(self, nets: Sequence[TargetNet]) -> Ints:
+    @property
+    def statuses(self) -> Ints:
         """(T,) places in `adapt.rule_columns.STATUSES`."""
         return np.asarray(self.before.columns.is_lost * STATUSES.index("lost"))
 
@@ -172,10 +175,6 @@ class FilteredGaussians:
         box = columns.own[row, :4]
         noise = np.diag(rule.association.variances(box) * rule.temperature)
         return AgentMessages(measured={rule.agent: Measurement(BOX_FIELDS, box, noise)})
-
-    def beside(self, row: int) -> Filtered | None:
-        """Nothing beside the columns is known of a target."""
-        return None
 
     def state(self, row: int) -> TargetState:
         """The state of one target before the frame."""

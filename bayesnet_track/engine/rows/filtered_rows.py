@@ -20,7 +20,7 @@ from bayesnet_track.engine.attachment import particles
 from bayesnet_track.engine.compiled import CompiledPlate
 from bayesnet_track.engine.filtering import Filtered
 from bayesnet_track.engine.frame_context import FrameContext
-from bayesnet_track.engine.groups import AgentMessages, statuses_of
+from bayesnet_track.engine.groups import AgentMessages
 from bayesnet_track.engine.predicting import PredictedMotion
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import ParticleTable
@@ -81,6 +81,10 @@ class FilteredRows(Mapping[str, Filtered]):
     """No modes say whether a target can be seen."""
     is_unasked = None
     """Agents look at the image."""
+    statuses = None
+    """The live nets say."""
+    beside = None
+    """Nothing beside the columns is known of a target."""
     _made: dict[str, Filtered] = field(default_factory=dict)
 
     @property
@@ -117,10 +121,6 @@ class FilteredRows(Mapping[str, Filtered]):
         """The first half of the frame of one target."""
         return self[self.ids[row]]
 
-    def beside(self, row: int) -> Filtered | None:
-        """Nothing beside the columns is known of a target."""
-        return None
-
     def state(self, row: int) -> TargetState:
         """The state of one target before the frame; its belief, references and memory may be elsewhere."""
         return self.before.base[row]
@@ -147,7 +147,7 @@ class FilteredRows(Mapping[str, Filtered]):
         if not isinstance(self.motion, Confined) or not isinstance(self.motion.motion, KinematicMotion):
             return np.full(len(self.ids), -1)
         earlier = Before(self.before.clouds.states, self.before.clouds.log)
-        return find_places(self.motion, self.dt, earlier, self.said, self.clouds.states)
+        return find_places(self.motion.motion, self.dt, earlier, self.said, self.clouds.states)
 
     @cached_property
     def best(self) -> Floats:
@@ -167,6 +167,8 @@ class FilteredRows(Mapping[str, Filtered]):
     def hidden(self) -> list[float]:
         """Of each target the expected share that others hide."""
         joins = self.joins
+        if not joins:
+            return [0.0] * len(self)
         return [joins[target].hidden if target in joins else 0.0 for target in self.ids]
 
     def measures(self, areas_px2: Floats) -> GroupMeasures:
@@ -182,11 +184,12 @@ class FilteredRows(Mapping[str, Filtered]):
     @property
     def arrays(self) -> StepArrays:
         """Inputs of measures."""
-        log, picks = self.clouds.log, state_index(self.before.compiled.plate, self.plan.root)
-        prior = np.tile(self.prior.log, (len(log), 1))
-        uds = uncertainties(self.clouds.states[:, :, picks], self.clouds.weights, self.best[:, picks])
-        agents = [observation.agent for observation in self.plan.observations]
-        return StepArrays(agents, (), self.messages, prior, log, self.boxes, {self.plan.root: uds})
+        plan, clouds = self.plan, self.clouds
+        agents = [observation.agent for observation in plan.observations]
+        picks, prior = state_index(self.before.compiled.plate, plan.root), self.prior.log
+        priors, boxes = np.tile(prior, (len(clouds.log), 1)), self.boxes
+        uds = uncertainties(clouds.states[:, :, picks], clouds.weights, self.best[:, picks])
+        return StepArrays(agents, (), self.messages, priors, clouds.log, boxes, {plan.root: uds})
 
     @property
     def existence(self) -> Floats | None:
@@ -202,10 +205,6 @@ class FilteredRows(Mapping[str, Filtered]):
         return np.array([belief.mean for belief in beliefs]), np.array(
             [belief.covariance for belief in beliefs]
         )
-
-    def statuses(self, nets: Sequence[TargetNet]) -> Ints:
-        """(T,) places in `adapt.rule_columns.STATUSES`."""
-        return statuses_of(nets)
 
     def asks(self, nets: Sequence[TargetNet]) -> Bools | None:
         """(T,) whether something else than a streak asks for a decision; None where nothing does."""
