@@ -45,19 +45,14 @@ from bayesnet_track.graph.checks.queries import input_columns
 from bayesnet_track.graph.settings.lifecycle import LifeRules, life_rules
 from bayesnet_track.graph.settings.motion import Moving
 from bayesnet_track.graph.spec import Guard, Join, Learn, Query, WorldState
+from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.parts import part_of_agents
 from bayesnet_track.inference.queries import CompiledQuery, compile_query
 from bayesnet_track.inference.views import Views, views_of
 from bayesnet_track.numerics.arrays import Floats
 from bayesnet_track.numerics.compile_watch import working_clock
 from bayesnet_track.numerics.streams import Streams
-from bayesnet_track.observation.cue import (
-    AnyCue,
-    AssociationRule,
-    CueDeclaration,
-    make_cue,
-    rule_of,
-)
+from bayesnet_track.observation.cue import AnyCue, AssociationRule, CueDeclaration, make_cue, rule_of
 from bayesnet_track.observation.detector import Detector, installed_detectors
 from bayesnet_track.observation.planes import Frame
 from bayesnet_track.observation.timed_columns import TimedInput
@@ -129,6 +124,11 @@ class CompiledPlate:
             return dict.fromkeys(self.sensors, only)
         seen_by = {agent: self.plate.seen_by(agent) for agent in self.sensors}
         return {agent: view.name for agent, view in seen_by.items() if view is not None}
+
+    @cached_property
+    def elsewhere(self) -> frozenset[str]:
+        """Agents that are at work in another process."""
+        return frozenset(agent for agent, cue in self.cues.items() if is_elsewhere(cue))
 
     @cached_property
     def looking(self) -> Mapping[str, str]:

@@ -341,12 +341,13 @@ def _groups_of(work: FrameContext, filtered: FilteredTargets) -> list[LiveGroup]
     objects = [*filtered.others.values()]
     for group in filtered.groups:
         group.find_maps()
-        fits = [row for row in range(len(group)) if _fits(work, group, row)]
-        if len(fits) < len(group):
-            objects += [group[target] for row, target in enumerate(group.ids) if row not in fits]
-            group = group.take(fits)
-        if fits:
-            groups.append(LiveGroup(group, [work.net.targets[target] for target in group.ids]))
+        if work.by_hand or len(group.before.nets) < len(group):  # else all were rows before
+            fits = [row for row in range(len(group)) if _fits(work, group, row)]
+            if len(fits) < len(group):
+                objects += [group[target] for row, target in enumerate(group.ids) if row not in fits]
+                group = group.take(fits)
+        if len(group):
+            groups.append(LiveGroup(group, [*map(work.net.targets.__getitem__, group.ids)]))
     return groups + _groups_of_each(work, objects) if objects else groups
 
 

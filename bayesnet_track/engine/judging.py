@@ -116,9 +116,10 @@ def rule_columns(
 ) -> RuleColumns:
     """The inputs of the rules as columns."""
     filtered, nets = group.filtered, group.nets
-    compiled, hidden, statuses = filtered.compiled, filtered.hidden, filtered.statuses
+    compiled, statuses, existence = filtered.compiled, filtered.statuses, _existence(filtered)
     if statuses is None:
         statuses = np.array([STATUSES.index(net.status) for net in nets])
+    hidden = filtered.hidden
     return RuleColumns(
         plate=compiled.plate,
         active=nets[0].active if nets else filtered.plan.active,
@@ -128,7 +129,7 @@ def rule_columns(
         adaptable=compiled.adaptable,
         hidden=np.array(hidden) if any(hidden) else None,
         score=np.array([outcome.score for outcome in scores]) if scores else None,
-        existence=_existence(filtered),
+        existence=existence,
         is_hidden=filtered.is_hidden,
         is_unasked=filtered.is_unasked,
         pending=filtered.asks(nets),

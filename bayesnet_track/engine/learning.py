@@ -21,7 +21,7 @@ from bayesnet_track.engine.frame_context import FrameContext, inside_frame, plan
 from bayesnet_track.engine.judging import JudgedGroup
 from bayesnet_track.engine.starting import start_late, unmet
 from bayesnet_track.graph.spec import Learn
-from bayesnet_track.inference.asking import Fault, Missing, fault_of, follow, is_elsewhere
+from bayesnet_track.inference.asking import Fault, Missing, fault_of, follow
 from bayesnet_track.inference.learn import (
     GuardVerdict,
     LearningInputs,
@@ -173,7 +173,8 @@ def learning_rates(work: FrameContext, group: JudgedGroup) -> tuple[list[float],
         shares.append(share)
         if share <= 0.0 and not any(of_parts.values()):
             continue
-        age, net = work.frame.since(filtered.state(row).started), group.nets[row]
+        age = work.frame.since(filtered.state(row).started) if rule.early_rate else 0
+        net = group.nets[row]
         for agent, largest in compiled.rate_max.items():
             if agent not in net.quarantined and (beside is None or agent not in beside.missed):
                 rate = of_parts.get(compiled.part_of.get(agent, ""), share) * largest_rate(rule, largest, age)
@@ -229,7 +230,7 @@ def move_references(
     was wrong. An agent that gives no answer for a reason outside of it keeps
     its reference, too; the frame's availability has it.
     """
-    filtered, cues = group.filtered, group.filtered.compiled.cues
+    filtered, elsewhere = group.filtered, group.filtered.compiled.elsewhere
     references, outcomes = dict(filtered.references), dict[str, dict[int, Fault]]()
     learning = {
         agent: _rows(work, group, agent, agent_rates)
@@ -239,10 +240,10 @@ def move_references(
     waits = {
         (agent, row): blend_ahead(lesson(row), agent, references[agent][row], rates[agent][row])
         for agent, rows in learning.items()
-        for row in (rows if is_elsewhere(cues[agent]) else ())
+        for row in (rows if agent in elsewhere else ())
     }
     for agent, rows in learning.items():
-        if len(rows) and not is_elsewhere(cues[agent]):
+        if len(rows) and agent not in elsewhere:
             row_rates, previous = np.array(rates[agent])[rows], references[agent]
             if len(rows) < len(previous):
                 previous = ReferenceRows.some(previous, rows)

@@ -36,6 +36,7 @@ class ParticleTable:
 
     Attributes:
         compiled: their plate.
+        plan: the compiled net that all have.
         ids: target ids.
         base: their states when they were last objects; of each, what no column holds is still so.
         time: time of the last frame, frame intervals.
@@ -46,6 +47,7 @@ class ParticleTable:
     """
 
     compiled: CompiledPlate
+    plan: Plan
     ids: tuple[str, ...]
     base: tuple[TargetState, ...]
     time: float
@@ -64,12 +66,7 @@ class ParticleTable:
             agent: ReferenceRows.of([state.references[agent] for state in base]) for agent in shared
         }
         clouds = Clouds.of([particles(state.belief) for state in base])
-        return cls(compiled, tuple(states), base, base[0].time, clouds, references)
-
-    @property
-    def plan(self) -> Plan:
-        """The compiled net that all have."""
-        return self.base[0].plan
+        return cls(compiled, base[0].plan, tuple(states), base, base[0].time, clouds, references)
 
     @cached_property
     def index(self) -> Mapping[str, int]:
@@ -116,7 +113,9 @@ class ParticleTable:
             state if state.belief is _NOBODY else evolve(state, belief=_NOBODY, references={})
             for state in self.base
         )  # else a row of an old frame keeps the arrays of all
-        table = ParticleTable(self.compiled, self.ids, base, time, clouds, references, memories, live)
+        table = ParticleTable(
+            self.compiled, self.plan, self.ids, base, time, clouds, references, memories, live
+        )
         table.__dict__["index"] = self.index
         return table
 
@@ -125,6 +124,7 @@ class ParticleTable:
         picks, live_rows = np.array(rows, dtype=np.intp), [row for row in rows if row < len(self.nets)]
         return ParticleTable(
             self.compiled,
+            self.plan,
             tuple(self.ids[row] for row in rows),
             tuple(self.base[row] for row in rows),
             self.time,

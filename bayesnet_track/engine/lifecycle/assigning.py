@@ -23,7 +23,6 @@ from bayesnet_track.engine.frame_context import FrameContext, ask_together
 from bayesnet_track.engine.lifecycle.sensing import Found, gate_boxes, with_looks
 from bayesnet_track.engine.lifecycle.sharing import TrackArrays, update_tentative
 from bayesnet_track.engine.state import TargetState, plan_for
-from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import is_flat
 from bayesnet_track.inference.messages import Observer, evaluate, join_plain
@@ -188,9 +187,7 @@ def score_looks(
     plan = replace(plan_for(compiled, frozenset(agents)), factors=()).in_image()
     rows: Iterable[int] = range(len(targets))
     log = np.zeros(len(boxes))
-    if is_flat(compiled.plate) and not (
-        work.availability.known or any(is_elsewhere(compiled.cues[agent]) for agent in agents)
-    ):
+    if is_flat(compiled.plate) and not (work.availability.known or not compiled.elsewhere.isdisjoint(agents)):
         messages, rows = ask_together(work, (compiled, plan, memories), Hypotheses(boxes), starts)
         log = join_plain(plan, messages, (len(boxes),))[plan.root]
     for row in rows:

@@ -25,7 +25,6 @@ from bayesnet_track.engine.predicting import PredictedMotion
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.engine.targets import ParticleTable
 from bayesnet_track.graph.spec import Estimate
-from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import (
     StepArrays,
@@ -49,6 +48,11 @@ class FilteredRows(Mapping[str, Filtered]):
     Attributes:
         work: the frame.
         before: what was known of them.
+        ids: the T targets.
+        compiled: their plate.
+        plan: the compiled net of the frame.
+        references: agent -> its reference of each target.
+        fields: the D fields of a state.
         clouds: their beliefs.
         prior: the weights of each target's hypotheses before the evidence.
         messages: agent -> (T, N) log-likelihoods.
@@ -64,6 +68,11 @@ class FilteredRows(Mapping[str, Filtered]):
 
     work: FrameContext
     before: ParticleTable
+    ids: tuple[str, ...] = field(init=False)
+    compiled: CompiledPlate = field(init=False)
+    plan: Plan = field(init=False)
+    references: Mapping[str, Sequence[Reference]] = field(init=False)
+    fields: tuple[str, ...] = field(init=False)
     clouds: Clouds
     prior: LogWeights
     messages: Mapping[str, Floats]
@@ -87,30 +96,10 @@ class FilteredRows(Mapping[str, Filtered]):
     """Nothing beside the columns is known of a target."""
     _made: dict[str, Filtered] = field(default_factory=dict)
 
-    @property
-    def ids(self) -> tuple[str, ...]:
-        """The targets."""
-        return self.before.ids
-
-    @property
-    def compiled(self) -> CompiledPlate:
-        """The plate of the targets."""
-        return self.before.compiled
-
-    @property
-    def plan(self) -> Plan:
-        """The compiled net of the frame."""
-        return self.before.plan
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        """The D fields of a state."""
-        return self.clouds.fields
-
-    @property
-    def references(self) -> Mapping[str, Sequence[Reference]]:
-        """Agent -> its reference of each target."""
-        return self.before.references
+    def __post_init__(self) -> None:
+        for name in ("ids", "compiled", "plan", "references"):
+            object.__setattr__(self, name, getattr(self.before, name))
+        object.__setattr__(self, "fields", self.clouds.fields)
 
     @property
     def memory(self) -> RuleMemory:
@@ -229,11 +218,11 @@ class FilteredRows(Mapping[str, Filtered]):
         nets: Mapping[str, TargetNet],
     ) -> ParticleTable | None:
         """The table of the targets about which nothing was decided; None without any."""
-        apart = self.apart(decided)
-        if len(apart) == len(self):
+        singles = self.apart(decided)
+        if len(singles) == len(self):
             return None
         table = self.before.then(time, self.clouds, references, memory, nets)
-        return table.take([row for row in range(len(self)) if row not in apart]) if apart else table
+        return table.take([row for row in range(len(self)) if row not in singles]) if singles else table
 
     def reports(self, frame: int) -> Mapping[int, tuple[Event, ...]]:
         """Nothing is left out of an update."""
@@ -328,7 +317,7 @@ def columns_say_all(compiled: CompiledPlate) -> bool:
         and compiled.guard is None
         and compiled.moving is None
         and compiled.modes is None
-        and not any(is_elsewhere(cue) for cue in compiled.cues.values())
+        and not compiled.elsewhere
     )
 
 

@@ -22,7 +22,6 @@ from bayesnet_track.engine.lifecycle.unconfirmed import CrowdRule
 from bayesnet_track.engine.scoring.score import ScoreState
 from bayesnet_track.engine.state import TargetState
 from bayesnet_track.graph.spec import InferenceNode, Lost
-from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan, compile_plan
 from bayesnet_track.inference.measure import is_flat
 from bayesnet_track.journal.target_net import TargetNet
@@ -100,7 +99,7 @@ def _rule_of(compiled: CompiledPlate) -> RowRule | None:
     agent, association = next(iter(compiled.association_rules.items()))
     idle = tuple(name for name in plate.agents if name != agent)
     is_usual = plate.agent(agent).active and not any(plate.agent(name).active for name in idle)
-    if not is_usual or any(map(is_elsewhere, compiled.cues.values())):
+    if not is_usual or compiled.elsewhere:
         return None
     node, root = compiled.plate.agent(agent), compiled.plate.inference(compiled.plate.root)
     lost = compiled.plate.lost

@@ -28,7 +28,6 @@ from bayesnet_track.engine.rows.filtered_rows import FilteredRows, weigh
 from bayesnet_track.engine.second_steps import is_sudden
 from bayesnet_track.engine.state import TargetState, with_agents
 from bayesnet_track.engine.targets import ParticleTable, Targets
-from bayesnet_track.inference.asking import is_elsewhere
 from bayesnet_track.inference.compile import Plan
 from bayesnet_track.inference.measure import fit_of
 from bayesnet_track.inference.messages import join_plain
@@ -137,7 +136,7 @@ def _scores_here(compiled: CompiledPlate, plan: Plan) -> bool:
         len(plan.observations) > 0
         and not (plan.draws or plan.views)
         and not any(
-            observation.measures or is_elsewhere(compiled.cues[observation.agent])
+            observation.measures or observation.agent in compiled.elsewhere
             for observation in plan.observations
         )
     )
