@@ -177,10 +177,10 @@ def call(options: argparse.Namespace) -> int:
 
 def _mend_full_disk(error: Exception, options: argparse.Namespace) -> str:
     """The next step where a disk is full; nothing after another error."""
-    cause: BaseException | None = error
-    while cause is not None and getattr(cause, "errno", None) != errno.ENOSPC:
-        cause = cause.__cause__
-    if cause is None:
+    causes: list[BaseException] = [error]
+    while (cause := causes[-1].__cause__) is not None and cause not in causes:  # one may be its own cause
+        causes.append(cause)
+    if all(getattr(cause, "errno", None) != errno.ENOSPC for cause in causes):
         return ""
     folder = getattr(options, "run", None) if options.command == "resume" else getattr(options, "out", None)
     goes_on = f", then `bayesnet-track resume {folder}`" if options.command in RESUMED and folder else ""

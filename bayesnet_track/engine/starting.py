@@ -220,7 +220,8 @@ def _parts(compiled: CompiledPlate, box: Floats, frame: Frame) -> dict[str, Floa
     """Part -> its centre box (4,) in a target that fills `box`, its other fields as they start on average."""
     if not compiled.part_of:
         return {}
-    fields = dict(zip(compiled.motion.fields, compiled.motion.start_moments(box)[0].tolist(), strict=True))
+    # The mode, of which there is no mean, is the last field.
+    fields = dict(zip(compiled.motion.fields, compiled.motion.start_moments(box)[0].tolist(), strict=False))
     parts = nominal_boxes(compiled.plate, box, fields)
     return {part: inside_frame(part_box, frame) for part, part_box in parts.items()}
 
