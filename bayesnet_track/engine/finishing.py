@@ -347,7 +347,7 @@ def _groups_of(work: FrameContext, filtered: FilteredTargets) -> list[LiveGroup]
                 objects += [group[target] for row, target in enumerate(group.ids) if row not in fits]
                 group = group.take(fits)
         if len(group):
-            groups.append(LiveGroup(group, [*map(work.net.targets.__getitem__, group.ids)]))
+            groups.append(LiveGroup(group, [work.net.targets[target] for target in group.ids]))
     return groups + _groups_of_each(work, objects) if objects else groups
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from bayesnet_track.belief.contract import MotionModel, Stream
 from bayesnet_track.belief.motion.borders import Confined, confined
-from bayesnet_track.belief.motion.models import KinematicMotion
 from bayesnet_track.engine.compiled import CompiledPlate, Engine
 from bayesnet_track.inference.asking import Availability, Fault, TargetAvailability, score
 from bayesnet_track.inference.compile import Plan
@@ -126,10 +125,7 @@ class FrameContext:
 
     def confined(self, motion: MotionModel) -> Confined:
         """The motion on the image of the frame, with its inputs where they matter."""
-        frame = self.frame
-        if isinstance(motion, KinematicMotion):  # nothing of it depends on the frame
-            return Confined(motion, frame.width, frame.height)
-        return confined(motion, frame.width, frame.height, self.inputs)
+        return confined(motion, self.frame.width, self.frame.height, self.inputs)
 
     def plate_of(self, target: str) -> CompiledPlate:
         """The compiled plate of the target."""
@@ -150,7 +146,7 @@ class FrameContext:
 
     def births_of(self, targets: Iterable[str]) -> list[str]:
         """The keys of the draws of targets."""
-        return [*map(self.births.__getitem__, targets)]
+        return [self.births[target] for target in targets]
 
     def availability_of(self, target: str, during: str) -> TargetAvailability:
         """The target's agents that give no answer when asked for one thing."""

@@ -70,10 +70,8 @@ def start(
     active = tuple(agent for agent in compiled.plate.agents if compiled.plate.agent(agent).active)
     belief, box, in_cameras = _start_belief(work, compiled, birth, start_place)
     parts = _parts(compiled, box, frame)
-    lesson, availability = (
-        _first_lesson(work, compiled, target, box, {**parts, **in_cameras}),
-        work.availability_of(target, "starting"),
-    )
+    lesson = _first_lesson(work, compiled, target, box, {**parts, **in_cameras})
+    availability = work.availability_of(target, "starting")
     # Others that look through one of several cameras meet the target when that sees it: `start_late`.
     later = {*remembered, *(compiled.looking.keys() - in_cameras.keys())}
     learnt, faults = learn_first(lesson, [agent for agent in compiled.cues if agent not in later])
@@ -109,15 +107,20 @@ def start(
         started=frame.index,
     )
     metrics = _first_frame_metrics(frame, target, belief, working, box, parts)
+    return Born(born, tuple(decisions), _complete(metrics, compiled, belief, box))
+
+
+def _complete(metrics: FrameMetrics, compiled: CompiledPlate, belief: Posterior, box: Floats) -> FrameMetrics:
+    """The first frame's record with what only some nets have: a start prior, a ground plane, modes."""
     if compiled.plate.inference(compiled.plate.root).start_texts:
         metrics = _with_start_prior(metrics, compiled, belief, box)
-        _say_undefined(compiled, target, box)
+        _say_undefined(compiled, metrics.target, box)
     if compiled.views is not None:
         metrics = evolve(metrics, state=state_numbers(belief, on_ground=True))
     if compiled.modes is not None:
         states = ModeState.of(compiled.modes, belief, belief, 1.0)
         metrics = with_modes(metrics, states, calibrated=True)
-    return Born(born, tuple(decisions), metrics)
+    return metrics
 
 
 def _with_start_prior(

@@ -108,7 +108,7 @@ class ParticleTable:
         nets: Mapping[str, TargetNet],
     ) -> ParticleTable:
         """The same targets after a frame, all as columns."""
-        live = tuple(map(nets.__getitem__, self.ids))
+        live = tuple(nets[target] for target in self.ids)
         base = tuple(
             state if state.belief is _NOBODY else evolve(state, belief=_NOBODY, references={})
             for state in self.base

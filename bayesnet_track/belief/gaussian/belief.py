@@ -296,23 +296,26 @@ class GaussianFilter:
                 weighed, predictions, point_sets, evidence, updates, strict=True
             )
         ]
-        # Update by measurements alone, where likelihoods have told more of what errors of cameras depend on
-        if not shared_columns(motion):
-            return steps
+        # Update by measurements alone what errors of cameras are learnt from
         is_scored = [not (choices or is_uninformative(sampled_of(each))) for each in evidence]
-        has_more = [bool(prior.measured) or scored for prior, scored in zip(priors, is_scored, strict=True)]
-        if not any(has_more):
-            return steps
-        expected = [
-            start if prior.measured is None else predict(*prior.measured, motion, dt, settings)
-            for start, prior in zip(predictions, priors, strict=True)
-        ]
-        by_measurements = take_each(expected, motion.fields, measured, settings.gate, is_unscented, choices)
-        for row, update in enumerate(by_measurements):
-            if has_more[row]:
-                posterior = evolve(steps[row].posterior, measured=(update.mean, update.covariance))
+        rows = zip(priors, predictions, is_scored, strict=True) if shared_columns(motion) else ()
+        expected = [self._expect_unscored(*row, motion, dt) for row in rows]
+        if any(expected):
+            starts = [moments or start for moments, start in zip(expected, predictions, strict=True)]
+            ends = take_each(starts, motion.fields, measured, settings.gate, is_unscented, choices)
+            for row in [row for row, moments in enumerate(expected) if moments]:
+                unscored = ends[row].mean, ends[row].covariance
+                posterior = evolve(steps[row].posterior, measured=unscored)
                 steps[row] = evolve(steps[row], posterior=posterior)
         return steps
+
+    def _expect_unscored(
+        self, prior: GaussianPosterior, predicted: Moments, is_scored: bool, motion: MotionModel, dt: float
+    ) -> Moments | None:
+        """The prediction by measurements alone, of a target of which likelihoods tell or have told more."""
+        if prior.measured is not None:
+            return predict(*prior.measured, motion, dt, self.settings)
+        return predicted if is_scored else None
 
     def _weigh(
         self, predicted: tuple[Floats, Floats], points: SigmaPoints, evidence: Evidence, motion: MotionModel
@@ -437,14 +440,5 @@ def _step(
 
 def report_gated(outlier: Gated, gate: float, used_count: int, frame: int, target: str) -> Event:
     """The event of a measurement that was gated out, beside `used_count` that were used."""
-    return MeasurementGated(
-        frame,
-        target,
-        outlier.agent,
-        outlier.d2,
-        outlier.limit,
-        gate,
-        outlier.degrees,
-        outlier.turning,
-        used_count,
-    )
+    bounds = outlier.d2, outlier.limit, gate, outlier.degrees, outlier.turning
+    return MeasurementGated(frame, target, outlier.agent, *bounds, used_count)

@@ -48,11 +48,6 @@ class FilteredRows(Mapping[str, Filtered]):
     Attributes:
         work: the frame.
         before: what was known of them.
-        ids: the T targets.
-        compiled: their plate.
-        plan: the compiled net of the frame.
-        references: agent -> its reference of each target.
-        fields: the D fields of a state.
         clouds: their beliefs.
         prior: the weights of each target's hypotheses before the evidence.
         messages: agent -> (T, N) log-likelihoods.
@@ -68,11 +63,6 @@ class FilteredRows(Mapping[str, Filtered]):
 
     work: FrameContext
     before: ParticleTable
-    ids: tuple[str, ...] = field(init=False)
-    compiled: CompiledPlate = field(init=False)
-    plan: Plan = field(init=False)
-    references: Mapping[str, Sequence[Reference]] = field(init=False)
-    fields: tuple[str, ...] = field(init=False)
     clouds: Clouds
     prior: LogWeights
     messages: Mapping[str, Floats]
@@ -96,10 +86,30 @@ class FilteredRows(Mapping[str, Filtered]):
     """Nothing beside the columns is known of a target."""
     _made: dict[str, Filtered] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        for name in ("ids", "compiled", "plan", "references"):
-            object.__setattr__(self, name, getattr(self.before, name))
-        object.__setattr__(self, "fields", self.clouds.fields)
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """The targets."""
+        return self.before.ids
+
+    @property
+    def compiled(self) -> CompiledPlate:
+        """The plate of the targets."""
+        return self.before.compiled
+
+    @property
+    def plan(self) -> Plan:
+        """The compiled net of the frame."""
+        return self.before.plan
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The D fields of a state."""
+        return self.clouds.fields
+
+    @property
+    def references(self) -> Mapping[str, Sequence[Reference]]:
+        """Agent -> its reference of each target."""
+        return self.before.references
 
     @property
     def memory(self) -> RuleMemory:
