@@ -138,7 +138,7 @@ def measure_rows(target: CheckedTarget, plan: Plan, steps: StepArrays, areas_px2
     seeing = [messages[agent] for agent in agents if agent not in steps.silent]
     total = sum((message / len(seeing) for message in seeing), np.zeros_like(steps.prior)).max(axis=1)
     fits = np.exp(np.minimum(total, 0.0)) if seeing else np.zeros(len(areas_px2))
-    names = [*agents, *filter(messages.__contains__, steps.views)]
+    names = [*agents, *(view for view in steps.views if view in messages)]
     node_messages = np.array([messages[name] for name in names]).reshape(len(names), *steps.prior.shape)
     uds_of_nodes = {**steps.uds}
     for view, log in zip(names[len(agents) :], tilt(steps.prior, node_messages[len(agents) :]), strict=True):

@@ -225,13 +225,11 @@ class Tracker(HasBox, Storable):
             clock = standing.clock.tick(time_s, ANEW)
             current = _frame(frame, clock, depth, self._copy_frames, self._levels)
             standing.kind.check(current, "call init again")
-            resizing = None if standing.resizing.is_none else standing.resizing
-            outcome = step(self._engine, standing.state, resizing.frame(current) if resizing else current)
-            if resizing:
-                outcome = resizing.outcome(outcome)
+            tracked = step(self._engine, standing.state, standing.resizing.frame(current))
+            outcome = standing.resizing.outcome(tracked)
             self._now = replace(
                 standing,
-                state=outcome.state,
+                state=tracked.state,
                 clock=clock,
                 metrics=outcome.metrics,
                 events=outcome.events,
